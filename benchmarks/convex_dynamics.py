@@ -34,7 +34,7 @@ from data_gen import (
     still_cameras,
     write_still_capture,
 )
-from inference import capture_views, reconstruct
+from inference import ReconstructOptions, capture_views, reconstruct
 from physconvex.convex import (
     ConvexField,
     DeformationMap,
@@ -48,7 +48,7 @@ from physconvex.convex import (
 )
 from physconvex.io import Camera, load_capture
 from physconvex.mesh import Embedding
-from physconvex.reconstruction import load_reconstruction_config, psnr, simplify
+from physconvex.reconstruction import psnr, simplify
 
 RESULT = Path(__file__).parent / "results" / "convex_dynamics.json"
 PROBES = 20_000
@@ -155,8 +155,8 @@ def measure(name: str, work: Path, options: argparse.Namespace) -> list[Row]:
     if not capture.exists():
         write_still_capture(capture, body, VIEWS, size=SIZE, lighting=FLAT)
     held = [f"{VIEWS[-1].name}{k}" for k in range(VIEWS[-1].count)]
-    config = load_reconstruction_config(budget=options.budget)
-    single = reconstruct(capture, out=work / f"{name}-{options.budget}", config=config, held_out=held).field
+    settings = ReconstructOptions(budget=options.budget, held_out=held)
+    single = reconstruct(capture, out=work / f"{name}-{options.budget}", options=settings).field
     field, motion = single.to(torch.float64), motion_of(body, options.nodes)
     print(f"{name}: deformed by {motion.deformation:.3f} of its size", flush=True)
     corners = single.points.reshape(-1, 3).double().numpy()

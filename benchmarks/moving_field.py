@@ -39,7 +39,7 @@ from data_gen import (
     still_cameras,
     write_still_capture,
 )
-from inference import capture_views, reconstruct
+from inference import ReconstructOptions, capture_views, reconstruct
 from physconvex.convex import BoundField, ConvexField, bind_to_tets, non_affinity, polar_rotation
 from physconvex.dynamics import Plane, Timing, simulate
 from physconvex.fem import ElasticBody, Scene
@@ -183,7 +183,8 @@ def fitted(
     if not capture.exists():
         write_still_capture(capture, body, VIEWS, size=SIZE, lighting=FLAT)
     held = [f"{VIEWS[-1].name}{k}" for k in range(VIEWS[-1].count)]
-    result = reconstruct(capture, out=work / f"{name}-flat-result", config=config, held_out=held)
+    options = ReconstructOptions(config=config, held_out=held)
+    result = reconstruct(capture, out=work / f"{name}-flat-result", options=options)
     source = load_capture(capture)
     views, mesh = capture_views(source, held), source.mesh()
     assert mesh is not None

@@ -29,10 +29,9 @@ import torch
 import trimesh
 
 from data_gen import StillViews, load_user_mesh, write_still_capture
-from inference import Reconstruction, reconstruct
+from inference import Reconstruction, ReconstructOptions, reconstruct
 from physconvex import InputError
 from physconvex.io import load_capture
-from physconvex.reconstruction import load_reconstruction_config
 from train import Coverage, measure_coverage
 
 RESULTS = Path(__file__).parent / "results"
@@ -66,12 +65,12 @@ def measure(name: str, folder: Path, work: Path, options: argparse.Namespace) ->
     capture = work / f"{name}-{options.size}"
     if not capture.exists():
         write_still_capture(capture, load_user_mesh(folder / name / "model.obj"), VIEWS, size=options.size)
-    config = load_reconstruction_config(overrides=options.settings)
     held_out = [f"{VIEWS[1].name}{k}" for k in range(VIEWS[1].count)]
     processor = time.process_time()
     out = work / f"{name}-{options.size}-result"
     points = cloud(capture, options.points, work / f"{name}-{options.points}.ply") if options.points else None
-    result = reconstruct(capture, out=out, config=config, held_out=held_out, points=points, redo=not options.resume)
+    settings = ReconstructOptions(settings=options.settings, held_out=held_out, points=points)
+    result = reconstruct(capture, out=out, options=settings, redo=not options.resume)
     spent = None if options.resume else time.process_time() - processor
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     numbers = result.to_json()

@@ -19,7 +19,7 @@ from .refinement.result_files import write_refinement as write_refinement
 from .refinement.run import RefinementRun as RefinementRun
 from .refinement.stages import Stages as Stages
 from .results import ResultsFolder as ResultsFolder
-from .settings import StatedConditions as StatedConditions
+from .settings import ReconstructOptions as ReconstructOptions, StatedConditions as StatedConditions
 from .sources import ClipSource as ClipSource, find_sources as find_sources
 from .streaming import ClipResult as ClipResult, iter_predictions as iter_predictions
 from .units import format_pascals as format_pascals, format_pascals_range as format_pascals_range

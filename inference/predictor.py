@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, cast
@@ -74,7 +75,7 @@ def load_predictor(checkpoint: str = "default", device: str = "cpu") -> Predicto
 
 def _load(path_or_array: Any, *, mask: Any, timestamps: Any) -> tuple[ClipSource | None, LoadedClip]:
     if not isinstance(path_or_array, str | os.PathLike):
-        _refuse_paths(path_or_array)
+        _refuse_others(path_or_array)
         return None, load_array(path_or_array, mask=mask, timestamps=timestamps)
     if timestamps is not None:
         raise InputError("timestamps is given for a file; expected None, since files have their own. Leave it out.")
@@ -87,12 +88,16 @@ def _load(path_or_array: Any, *, mask: Any, timestamps: Any) -> tuple[ClipSource
     return source, loaded
 
 
-def _refuse_paths(given: object) -> None:
-    """Check the arguments that select the predictor of several clips.
+def _refuse_others(given: object) -> None:
+    """Check that `given` may be the frames of one clip.
 
     Raises:
-        InputError: there are paths in `given`.
+        InputError: it holds paths, or is no array.
     """
+    if not isinstance(given, Sequence | set | frozenset) and not hasattr(given, "__array__"):
+        raise InputError(
+            f"path_or_array: got {given!r}; expected the path of a clip, or its frames as an array [T, H, W, 3 or 4]."
+        )
     if isinstance(given, list | tuple | set | frozenset) and any(isinstance(one, str | os.PathLike) for one in given):
         raise InputError(
             f"path_or_array: got {len(given)} paths; expected one clip. Use `physconvex.predict_batch(paths, out=…)`, "

@@ -21,6 +21,7 @@ from pydantic import JsonValue
 
 import physconvex
 from inference.reconstruction_views import CaptureViews, capture_views
+from inference.settings import ReconstructOptions
 from physconvex import InputError
 from physconvex.convex import ConvexField, read_ply, write_glb, write_ply
 from physconvex.io import Picture, html_summary, load_capture, png_bytes, write_video
@@ -144,39 +145,33 @@ def reconstruct(
     capture: str | Path,
     *,
     out: str | Path | None = None,
-    config: ReconstructionConfig | None = None,
-    held_out: Sequence[str] = (),
-    points: str | Path | None = None,
+    options: ReconstructOptions | None = None,
     turntable: bool = False,
     redo: bool = False,
-    device: str = "cpu",
     on_step: Callable[[FitProgress], None] | None = None,
 ) -> Reconstruction:
     """Fit a convex field to the first frames of a capture.
 
     With `out` a run can be stopped at any time: the same call continues it, and a finished one is read from its files.
-    Writes field.ply, hulls.glb, reconstruction.json, views/<camera>.png (observed, rendered, difference) and, if
-    requested, turntable.mp4.
+    Writes field.ply, hulls.glb, reconstruction.json and views/<camera>.png (observed, rendered, difference).
 
     Args:
         capture: folder with capture.json.
         out: folder of the results; nothing is written if not given.
-        config: settings; the defaults if not given.
-        held_out: names of cameras that are scored but not fitted.
-        points: mesh or point file; its vertices [m] are a possible start of the convexes.
+        options: settings.
+        turntable: write turntable.mp4 too.
         redo: ignore earlier results in `out`.
-        device: torch device of rendering and fit, such as "cpu" or "cuda".
         on_step: called after every step.
 
     Raises:
         InputError: see `capture_views`; a start or a device that is not possible; `out` holds another reconstruction.
     """
-    place = device_named(device)
-    config = ReconstructionConfig() if config is None else config
+    options = ReconstructOptions.or_default(options)
+    place, config = device_named(options.device), options.resolved
     folder = None if out is None else Path(out)
     source = load_capture(capture)
-    views = capture_views(source, held_out)
-    given = None if points is None else _read_points(Path(points))
+    views = capture_views(source, options.held_out)
+    given = None if options.points is None else _read_points(options.points)
     claim = _claim(views, config, given)
     if folder is not None:
         finished = _prepared(folder, claim, redo=redo)

@@ -9,29 +9,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from inference.settings import ReconstructOptions
+from physconvex.io import command
+
 if TYPE_CHECKING:
     from inference.reconstruction import Reconstruction
 
 
+@command
 def reconstruct_command(
     *,
     capture: Annotated[Path, typer.Argument(help="Folder with capture.json and several cameras.", show_default=False)],
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("reconstruction"),
-    held_out: Annotated[
-        list[str] | None, typer.Option("--held-out", help="Camera that is scored but not fitted; repeatable.")
-    ] = None,
-    config: Annotated[Path | None, typer.Option(help="YAML file of settings.")] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="Override, as budget=12000 or point_rate=0.1; repeatable.")
-    ] = None,
-    start: Annotated[str | None, typer.Option(help="mesh, hull, points or auto (the first there is).")] = None,
-    points: Annotated[Path | None, typer.Option(help="File whose vertices the convexes may start from [m].")] = None,
-    budget: Annotated[int | None, typer.Option(help="Most convexes. Default: 16000.")] = None,
-    steps: Annotated[int | None, typer.Option(help="Steps of the optimiser, one view each. Default: 200.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    options: ReconstructOptions,
     turntable: Annotated[bool, typer.Option(help="Write a film of the object from all round.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")] = False,
-    device: Annotated[str, typer.Option(help="Torch device that draws and fits, such as cpu or cuda.")] = "cpu",
     redo: Annotated[bool, typer.Option("--redo", help="Start anew, whatever is in the folder.")] = False,
     no_progress: Annotated[bool, typer.Option("--no-progress", help="No progress bar.")] = False,
 ) -> None:
@@ -42,14 +34,11 @@ def reconstruct_command(
     """
     from tqdm import tqdm
 
-    from inference.reconstruction import reconstruct as run
-    from physconvex.reconstruction import FitProgress, load_reconstruction_config
+    from inference.reconstruction import reconstruct
+    from physconvex.reconstruction import FitProgress
 
-    resolved = load_reconstruction_config(
-        config, overrides=settings or [], start=start, budget=budget, steps=steps, seed=seed
-    )
     shown = not no_progress and sys.stderr.isatty()
-    with tqdm(total=resolved.steps, unit="step", disable=not shown, file=sys.stderr, dynamic_ncols=True) as bar:
+    with tqdm(total=options.resolved.steps, unit="step", disable=not shown, file=sys.stderr, dynamic_ncols=True) as bar:
 
         def advance(progress: FitProgress) -> None:
             if bar.n == 0:
@@ -57,17 +46,7 @@ def reconstruct_command(
             bar.set_postfix(loss=f"{progress.loss:.4f}", convexes=progress.convexes, scale=f"{progress.scale:g}")
             bar.update(progress.step - bar.n)
 
-        result = run(
-            capture,
-            out=out,
-            config=resolved,
-            held_out=held_out or [],
-            points=points,
-            turntable=turntable,
-            redo=redo,
-            device=device,
-            on_step=advance,
-        )
+        result = reconstruct(capture, out=out, options=options, turntable=turntable, redo=redo, on_step=advance)
     if as_json:
         print(json.dumps(result.to_json()))
     else:

@@ -1,15 +1,17 @@
-"""What a user states about clips, and how many are worked on at once."""
+"""What a user states about clips, how many are worked on at once, and what a reconstruction is to do."""
 
 from __future__ import annotations
 
 import math
 import os
+from pathlib import Path
 from typing import Annotated
 
 from pydantic import ValidationInfo, field_validator
 
 from physconvex import InputError
 from physconvex.io import CommandLine, Options
+from physconvex.reconstruction import ReconstructionConfig, load_reconstruction_config
 
 _UNITS = {"fps": "1/s", "density": "kg/m³", "object_size": "m"}
 
@@ -65,3 +67,37 @@ class BatchOptions(Options):
     def readers(self) -> int:
         """Number of clips read at once."""
         return self.workers or min(2, os.cpu_count() or 1)
+
+
+class ReconstructOptions(Options):
+    """Settings of `reconstruct`. `settings` override `config`; `start`, `budget`, `steps` and `seed` override both."""
+
+    held_out: Annotated[tuple[str, ...], CommandLine("--held-out")] = ()
+    """Camera that is scored but not fitted; repeatable."""
+    config: Path | ReconstructionConfig | None = None
+    """YAML file of settings."""
+    settings: Annotated[tuple[str, ...], CommandLine("--set")] = ()
+    """Override, as budget=12000 or point_rate=0.1; repeatable."""
+    start: str | None = None
+    """mesh, hull, points or auto (the first there is)."""
+    points: Path | None = None
+    """File whose vertices the convexes may start from [m]."""
+    budget: int | None = None
+    """Most convexes. Default: 16000."""
+    steps: int | None = None
+    """Steps of the optimiser, one view each. Default: 200."""
+    seed: int | None = None
+    """Seed of everything random."""
+    device: str = "cpu"
+    """Torch device that draws and fits, such as cpu or cuda."""
+
+    @property
+    def resolved(self) -> ReconstructionConfig:
+        """The configuration of the fit.
+
+        Raises:
+            InputError: see `load_reconstruction_config`.
+        """
+        return load_reconstruction_config(
+            self.config, overrides=self.settings, start=self.start, budget=self.budget, steps=self.steps, seed=self.seed
+        )

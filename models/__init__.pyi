@@ -7,10 +7,9 @@ from .calibration import (
 from .checkpoint import (
     PredictorConfig as PredictorConfig,
     TrainingRange as TrainingRange,
-    find_checkpoint as find_checkpoint,
     load_checkpoint as load_checkpoint,
 )
-from .checkpoint_files import save_network as save_network
+from .checkpoint_files import find_checkpoint as find_checkpoint, save_network as save_network
 from .clip import (
     ClipConfig as ClipConfig,
     PreparedClip as PreparedClip,

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-from pathlib import Path
 
 from pydantic import Field, ValidationError
 
 from models.calibration import Calibration
-from models.checkpoint_files import read_tensors
+from models.checkpoint_files import find_checkpoint, read_tensors
 from models.clip import ClipConfig
 from models.config import NetworkConfig
 from models.network import PhysicsNetwork
@@ -17,7 +16,6 @@ from physconvex import InputError
 from physconvex.io import FrozenConfig
 from physconvex.numerics import device_named
 
-BUNDLED = Path(__file__).parent / "checkpoints"
 _FORMAT = "physconvex/predictor/2"
 
 
@@ -49,22 +47,6 @@ class PredictorConfig(FrozenConfig):
         """With the windows of the encoder."""
         clip = ClipConfig(window=network.encoder.image_size, frames=network.encoder.frames)
         return cls.model_validate({"network": network, "clip": clip, **options})
-
-
-def find_checkpoint(name_or_path: str | os.PathLike[str]) -> Path:
-    """Folder of a bundled checkpoint by its name, or the folder itself.
-
-    Raises:
-        InputError: there is none.
-    """
-    for folder in (Path(name_or_path), BUNDLED / os.fspath(name_or_path)):
-        if (folder / "config.json").is_file() and (folder / "model.safetensors").is_file():
-            return folder
-    names = ", ".join(sorted(p.parent.name for p in BUNDLED.glob("*/config.json"))) or "none"
-    raise InputError(
-        f"checkpoint: got {os.fspath(name_or_path)!r}; expected a folder with config.json and "
-        f"model.safetensors, or the name of a bundled one ({names})"
-    )
 
 
 def load_checkpoint(

@@ -16,8 +16,26 @@ from torch import Tensor, nn
 from physconvex import InputError
 from physconvex.io import FrozenConfig
 
+BUNDLED: Path = Path(__file__).parent / "checkpoints"
+
 _Config = TypeVar("_Config", bound="FinderConfig")
 _Network = TypeVar("_Network", bound=nn.Module)
+
+
+def find_checkpoint(name_or_path: str | os.PathLike[str]) -> Path:
+    """Folder of a bundled checkpoint by its name, or the folder itself.
+
+    Raises:
+        InputError: there is none.
+    """
+    for folder in (Path(name_or_path), BUNDLED / os.fspath(name_or_path)):
+        if (folder / "config.json").is_file() and (folder / "model.safetensors").is_file():
+            return folder
+    names = ", ".join(sorted(p.parent.name for p in BUNDLED.glob("*/config.json"))) or "none"
+    raise InputError(
+        f"checkpoint: got {os.fspath(name_or_path)!r}; expected a folder with config.json and "
+        f"model.safetensors, or the name of a bundled one ({names})"
+    )
 
 
 class FinderConfig(FrozenConfig):

@@ -12,7 +12,6 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Literal
 
 import cv2
@@ -23,9 +22,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from models.appearance import LARGEST_RATIO, colour_codes, colour_ratio, sort_pictures
-from models.checkpoint_files import FinderConfig, load_finder_network
+from models.checkpoint_files import BUNDLED, FinderConfig, load_finder_network
 
-BUNDLED_OUTLINE = Path(__file__).parent / "checkpoints" / "outline"
+BUNDLED_OUTLINE = BUNDLED / "outline"
 
 _BLOCK = 2  # pixels that enter together, along each edge
 _MULTIPLE = 8  # of which padded pictures have edges: blocks of two, halved twice

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import os
 from functools import cache
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -23,9 +22,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from models.appearance import sort_pictures
-from models.checkpoint_files import FinderConfig, load_finder_network
+from models.checkpoint_files import BUNDLED, FinderConfig, load_finder_network
 
-BUNDLED_SEGMENTER = Path(__file__).parent / "checkpoints" / "segmenter"
+BUNDLED_SEGMENTER = BUNDLED / "segmenter"
 
 _BLOCK = 2  # pixels that enter together, along each edge
 _MULTIPLE = 16  # of which padded pictures have edges: blocks of two, halved three times

@@ -17,6 +17,7 @@ _LAZY = {
     "PhysicsPredictor": ("models", "PhysicsPredictor"),
     "Prediction": ("inference", "Prediction"),
     "Reconstruction": ("inference", "Reconstruction"),
+    "ReconstructOptions": ("inference", "ReconstructOptions"),
     "RefineOptions": ("inference", "RefineOptions"),
     "Refinement": ("inference", "Refinement"),
     "diagnose": ("physconvex.gap", "diagnose"),

@@ -1,6 +1,7 @@
 from inference import (
     Prediction as Prediction,
     Reconstruction as Reconstruction,
+    ReconstructOptions as ReconstructOptions,
     Refinement as Refinement,
     RefineOptions as RefineOptions,
     predict as predict,
@@ -24,6 +25,7 @@ __all__ = [
     "PhysconvexError",
     "PhysicsPredictor",
     "Prediction",
+    "ReconstructOptions",
     "Reconstruction",
     "RefineOptions",
     "Refinement",

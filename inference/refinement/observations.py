@@ -86,24 +86,17 @@ def observe_capture(run: RefinementRun, twin: Twin) -> tuple[Observed, Twin]:
     Raises:
         InputError: the capture has no such observations.
     """
-    capture, options = run.capture, run.options
-    if capture.observed_frames < 2:
-        raise InputError(
-            f"{capture.folder}: observed_frames is {capture.observed_frames}; expected at least 2, since frame 0 is "
-            "the known state at t = 0"
-        )
-    tracked, filmed = _kinds(capture, options)
+    capture = run.capture
+    tracked, cameras = selected(capture, run.options)
     parts: list[Observations] = []
     sources: list[str] = []
-    cameras: tuple[Camera, ...] = ()
     notes: tuple[str, ...] = ()
     if tracked:
         markers = marker_observations(capture)
         parts.append(markers)
         sources.append(f"{len(markers.points)} markers")
         twin = start_motion(twin, markers)
-    if filmed:
-        cameras = _cameras(capture, options)
+    if cameras:
         seen = _video_parts(run, twin, cameras)
         notes = tuple(_UNFOLLOWED.format(camera.name) for camera in cameras if _is_unfollowed(camera, capture, seen))
         parts.extend(seen)
@@ -111,8 +104,17 @@ def observe_capture(run: RefinementRun, twin: Twin) -> tuple[Observed, Twin]:
     return Observed(StackedObservations.of(parts), tuple(sources), cameras, notes), twin
 
 
-def _kinds(capture: Capture, options: RefineOptions) -> tuple[bool, bool]:
-    """Whether to take tracks, and videos."""
+def selected(capture: Capture, options: RefineOptions) -> tuple[bool, tuple[Camera, ...]]:
+    """Whether the tracks of a capture are fitted, and the cameras whose videos are.
+
+    Raises:
+        InputError: the capture has no such observations, or no video is fitted and `cameras` are chosen.
+    """
+    if capture.observed_frames < 2:
+        raise InputError(
+            f"{capture.folder}: observed_frames is {capture.observed_frames}; expected at least 2, since frame 0 is "
+            "the known state at t = 0"
+        )
     tracked, filmed = capture.tracks() is not None, bool(capture.cameras)
     wanted = options.observations
     if (wanted in ("tracks", "both") and not tracked) or (wanted in ("video", "both") and not filmed):
@@ -123,13 +125,16 @@ def _kinds(capture: Capture, options: RefineOptions) -> tuple[bool, bool]:
             f"{capture.folder}: nothing was observed; expected tracks.npz (rest, positions, sigma) or cameras with "
             "videos in capture.json"
         )
-    return tracked and wanted != "video", filmed and (wanted in ("video", "both") or not tracked)
-
-
-def _cameras(capture: Capture, options: RefineOptions) -> tuple[Camera, ...]:
-    if options.cameras is None:
-        return capture.cameras
-    return tuple(capture.camera(name) for name in options.cameras)
+    if tracked and wanted not in ("video", "both"):
+        if options.cameras is not None:
+            raise InputError(
+                f"cameras (--camera): got {', '.join(options.cameras)}, but tracks alone are fitted; leave it out, or "
+                "choose the observations video or both"
+            )
+        return tracked, ()
+    names = options.cameras
+    cameras = capture.cameras if names is None else tuple(capture.camera(name) for name in names)
+    return tracked and wanted != "video", cameras
 
 
 def _video_parts(run: RefinementRun, twin: Twin, cameras: Sequence[Camera]) -> list[Observations]:

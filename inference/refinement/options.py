@@ -118,6 +118,9 @@ class RefineOptions(Options):
         for name in _NEED_VALUE:
             if name in fixed and fixed[name] is None:
                 raise InputError(f"fixed: {name} needs a value, since no capture states it; give {name}=VALUE")
+        ratio = fixed.get("poisson_ratio")
+        if ratio is not None and not -1 < ratio < 0.5:
+            raise InputError(f"fixed (--fix): poisson_ratio is {ratio:g}; expected more than -1 and less than 0.5")
         return fixed
 
     @property

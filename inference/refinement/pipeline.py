@@ -18,7 +18,7 @@ from inference.refinement.estimates import fitted_parameters, with_model_error
 from inference.refinement.fine_fit import fit_on_more_nodes
 from inference.refinement.meshes import comparison_mesh
 from inference.refinement.motion import future_rms, refined_motion
-from inference.refinement.observations import observe_capture
+from inference.refinement.observations import observe_capture, selected
 from inference.refinement.options import RefineOptions
 from inference.refinement.problem import Problem, material_of, started_from
 from inference.refinement.reduced_search import ReducedSearch
@@ -26,6 +26,7 @@ from inference.refinement.result import Refinement
 from inference.refinement.rigid_drift import drift_of, drifted, followed_motion, with_drift
 from inference.refinement.run import RefinementRun
 from inference.refinement.stages import Arrays, Stages, arrays_of_correction, fit_of, key_of, runs_of
+from models import find_checkpoint
 from physconvex import ConvergenceError, InputError
 from physconvex.fem import SurfacePoints
 from physconvex.identify import (
@@ -77,12 +78,18 @@ def refine(
         InputError: an input is missing or wrong, or the device cannot be used; the message names it and the remedy.
         ConvergenceError: the body cannot be simulated at any start.
     """
-    options = options or RefineOptions()
+    options = RefineOptions.or_default(options)
     device_named(options.device)
+    find_checkpoint(options.checkpoint)
+    if options.field_file is not None and not Path(options.field_file).is_file():
+        raise InputError(
+            f"field_file: there is no file {options.field_file}; expected a field (PLY) of the body at rest"
+        )
     if initial is not None:
         start = {"log10_youngs_modulus": math.log10(initial.youngs_modulus), "poisson_ratio": initial.poisson_ratio}
         options = options.replace(initial={**start, **options.initial})
     capture = load_capture(Path(path))
+    selected(capture, options)  # what is missing is told before the work begins
     stages = Stages(None if out is None else Path(out), _key(capture, options), on_stage)
     with Workers(options.processes) as workers:
         return _refined(RefinementRun(capture, options, stages, workers))

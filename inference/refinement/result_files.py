@@ -62,7 +62,7 @@ def write_refinement(
         "command": shlex.join(sys.argv if command is None else command),
         "physconvex": __version__,
         "python": platform.python_version(),
-        "options": (options or RefineOptions()).to_json(),
+        "options": RefineOptions.or_default(options).to_json(),
     }
     _write_json(folder / "run.json", run)
     _write_json(folder / "refinement.json", found.to_json())

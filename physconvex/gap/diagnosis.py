@@ -83,7 +83,7 @@ def diagnose(
         InputError: the capture lacks something, or an effect's name is unknown; the message says what.
         ConvergenceError: the base model cannot be simulated.
     """
-    begun, options = time.monotonic(), options or GapOptions()
+    begun, options = time.monotonic(), GapOptions.or_default(options)
     capture = shortened(capture if isinstance(capture, Capture) else load_capture(capture))
     other = load_capture(second_take) if isinstance(second_take, Path | str) else second_take
     dictionary = choose(effects, without=without, extra=extra)

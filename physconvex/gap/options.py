@@ -18,7 +18,7 @@ Hidden = Annotated[float, CommandLine(hidden=True)]
 class GapOptions(Options):
     """How thoroughly a capture is diagnosed. `physconvex.gap.thresholds` has what the diagnosis decides by."""
 
-    max_nodes: Count = 250
+    max_nodes: Annotated[int, Field(ge=30)] = 250
     """Most nodes of the model's quadratic mesh."""
     fine_nodes: HiddenCount = 1000
     """Nodes of the mesh whose difference to the model's is added to every run."""

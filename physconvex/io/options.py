@@ -60,6 +60,18 @@ class Options(BaseModel):
             except ValidationError as error:
                 raise InputError(error_in_words(error)) from None
 
+    @classmethod
+    def or_default(cls, options: Self | None) -> Self:
+        """The given options, or the defaults where there are none.
+
+        Raises:
+            InputError: something else is given, such as a dict.
+        """
+        if options is not None and not isinstance(options, cls):
+            kind, name = type(options).__name__, cls.__name__
+            raise InputError(f"options: got a value of type {kind}; expected {name}, made as {name}(name=value)")
+        return cls() if options is None else options
+
     def replace(self, **changes: object) -> Self:
         """The same options with some fields changed, validated again."""
         return type(self)(**(dict(self) | changes))

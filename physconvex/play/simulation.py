@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from physconvex.dynamics import State
+from physconvex.errors import InputError
 from physconvex.play.assets import Asset, read_asset
 from physconvex.play.config import PlayConfig, load_play_config, overrides_of
 from physconvex.play.roll_out import PlayedObject, play_together
@@ -59,6 +60,8 @@ def configure_assets(
     settings: Sequence[str] = (),
 ) -> tuple[list[Asset], list[PlayConfig]]:
     """The assets, read, and the configuration of each; arguments of `simulate_assets`."""
+    if isinstance(settings, str | Mapping):
+        raise InputError(f'settings: got {settings!r}; expected a list of texts, as ["material.density=500"]')
     given = [assets] if isinstance(assets, str | Path | Asset) else list(assets)
     objects = [asset if isinstance(asset, Asset) else read_asset(asset) for asset in given]
     configs = [

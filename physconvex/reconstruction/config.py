@@ -96,15 +96,17 @@ class ReconstructionConfig(BaseModel):
 
 
 def load_reconstruction_config(
-    source: str | Path | None = None, *, overrides: Sequence[str] = (), **values: Any
+    source: str | Path | ReconstructionConfig | None = None, *, overrides: Sequence[str] = (), **values: Any
 ) -> ReconstructionConfig:
-    """The configuration of a YAML file (else the defaults), with `name=value` overrides, and values that are not None.
+    """A configuration, that of a YAML file or the defaults, with `name=value` overrides, and values that are not None.
 
     Raises:
         InputError: no such file, bad YAML, an unknown name or a value out of range.
     """
     tree: dict[str, Any] = {}
-    if source is not None:
+    if isinstance(source, ReconstructionConfig):
+        tree = source.model_dump()
+    elif source is not None:
         if not Path(source).is_file():
             raise InputError(f"config: {source} is not a file; expected YAML with lines such as `budget: 12000`")
         try:

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from physconvex import InputError
 from physconvex.fem import ElasticBody, NodePins, Scene, solve_static
-from physconvex.gap import with_plane
+from physconvex.gap import GapOptions, with_plane
 from physconvex.gap.base.box_mesh import box_cells, box_of_body
 from physconvex.io import Boundary, Capture, save_capture
 from physconvex.mesh import box_mesh
@@ -17,6 +18,13 @@ def held(folder, **parts):
     capture = Capture(folder, 100.0, 12, 8)
     save_capture(capture, boundary=CLAMP, **parts)
     return capture
+
+
+def test_meshes_of_too_few_nodes_are_refused(tmp_path):
+    with pytest.raises(InputError, match="max_nodes: got 5; expected at least 30"):
+        GapOptions(max_nodes=5)
+    mesh = box_of_body(held(tmp_path / "cube", mesh=trimesh.creation.box((0.1, 0.1, 0.1))), 30)
+    assert len(mesh.vertices) >= 27
 
 
 def test_a_beam_gets_cells_along_its_length(tmp_path):

@@ -137,6 +137,12 @@ def test_bad_arrays_are_refused(array: np.ndarray) -> None:
         predict(array, predictor=PredictorDouble())
 
 
+@pytest.mark.parametrize("given", [None, 3, {"frames": 2}])
+def test_what_is_no_array_is_refused(given: object) -> None:
+    with pytest.raises(InputError, match=r"path_or_array: got .*; expected the path of a clip, or its frames"):
+        predict(given, predictor=PredictorDouble())
+
+
 def test_folders_that_are_no_clip_and_missing_paths(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"without capture\.json"):
         predict(tmp_path, predictor=PredictorDouble())

@@ -10,7 +10,7 @@ import typer
 from PIL import Image
 from typer.testing import CliRunner
 
-from inference import capture_views, reconstruct
+from inference import ReconstructOptions, capture_views, reconstruct
 from inference.reconstruction_command import reconstruct_command as command
 from physconvex import InputError
 from physconvex.convex import read_ply
@@ -18,7 +18,8 @@ from physconvex.io import Capture, load_capture, read_video, save_capture
 from physconvex.reconstruction import ReconstructionConfig
 from tests.reconstruction.scenes import ball_mesh, pictures, ring
 
-TINY = ReconstructionConfig(budget=400, steps=12, levels=(0.5, 1.0), level_shares=(0.5, 0.5), refinements=1)
+CONFIG = ReconstructionConfig(levels=(0.5, 1.0), level_shares=(0.5, 0.5), refinements=1)
+TINY = ReconstructOptions(budget=400, steps=12, config=CONFIG)
 OPTIONS = ["--budget", "400", "--steps", "12", "--set", "levels=[0.5,1.0]", "--set", "level_shares=[0.5,0.5]"]
 OPTIONS += ["--set", "refinements=1", "--no-progress"]
 
@@ -87,12 +88,12 @@ def test_a_run_that_was_killed_goes_on_to_the_same_field(capture, tmp_path, monk
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        reconstruct(capture, out=tmp_path / "one", config=TINY, on_step=stop)
+        reconstruct(capture, out=tmp_path / "one", options=TINY, on_step=stop)
     assert (tmp_path / "one" / "state.safetensors").exists()
     steps: list[int] = []
-    resumed = reconstruct(capture, out=tmp_path / "one", config=TINY, on_step=lambda p: steps.append(p.step))
+    resumed = reconstruct(capture, out=tmp_path / "one", options=TINY, on_step=lambda p: steps.append(p.step))
     assert steps == [8, 9, 10, 11, 12]
-    whole = reconstruct(capture, config=TINY)
+    whole = reconstruct(capture, options=TINY)
     assert [one.psnr for one in resumed.training] == [one.psnr for one in whole.training]
     shown = whole._repr_html_()
     assert f"{len(whole.field)}, from the mesh" in shown and shown.count("data:image/png;base64,") == 1
@@ -108,7 +109,7 @@ def test_videos_with_masks_before_a_busy_wall_do_as_well(tmp_path):
         videos[camera.name], masks[camera.name] = np.stack([mixed] * 2), np.stack([coverage > 127] * 2)
     source = Capture(folder=tmp_path / "films", fps=24.0, frames=2, observed_frames=1, cameras=tuple(ring(4)))
     save_capture(source, videos=videos, masks=masks, mesh=ball_mesh(2), crf=8)
-    result = reconstruct(tmp_path / "films", config=TINY)
+    result = reconstruct(tmp_path / "films", options=TINY)
     assert result.silhouettes == ("mask",)
     # Outside the mask the image is its own background, so only the object and its rim count.
     assert np.mean([one.psnr_object for one in result.training]) > 15
@@ -128,21 +129,21 @@ def test_silhouettes_come_from_a_plain_background_where_there_is_nothing_better(
 def test_captures_that_cannot_be_reconstructed_are_refused(capture, tmp_path):
     busy = write_capture(tmp_path / "busy", cameras=3, alpha=False, wall="busy")
     with pytest.raises(InputError, match="background is not plain"):
-        reconstruct(busy, config=TINY)
+        reconstruct(busy, options=TINY)
     with pytest.raises(InputError, match="one view says nothing of depth"):
-        reconstruct(capture, config=TINY, held_out=[f"view{k}" for k in range(4)])
+        reconstruct(capture, options=TINY.replace(held_out=[f"view{k}" for k in range(4)]))
     with pytest.raises(InputError, match=r"got 'side', expected one of"):
-        reconstruct(capture, config=TINY, held_out=["side"])
+        reconstruct(capture, options=TINY.replace(held_out=["side"]))
     with pytest.raises(InputError, match="device: 'abacus' cannot be used"):
-        reconstruct(capture, config=TINY, device="abacus")
+        reconstruct(capture, options=TINY.replace(device="abacus"))
     bare = tmp_path / "bare"
     shutil.copytree(capture, bare)
     (bare / "mesh.obj").unlink()
     with pytest.raises(InputError, match="the capture holds none"):
-        reconstruct(bare, config=TINY.model_copy(update={"start": "mesh"}))
+        reconstruct(bare, options=TINY.replace(start="mesh"))
     with pytest.raises(InputError, match=r"points: .* cannot be read"):
-        reconstruct(bare, config=TINY, points=bare / "none.ply")
+        reconstruct(bare, options=TINY.replace(points=bare / "none.ply"))
     (bare / "capture.json").write_text(json.dumps({"fps": 24.0, "frames": 2}))
     with pytest.raises(InputError, match="names no cameras"):
-        reconstruct(bare, config=TINY)
+        reconstruct(bare, options=TINY)
     assert isinstance(run(str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")).exception, InputError)

@@ -173,10 +173,21 @@ def test_a_wrong_option_is_named(folder, tmp_path):
         (["--initial", "air_drag=0.1"], "are not free"),
         (["--observations", "video"], "no cameras"),
         (["--device", "abacus"], "device: 'abacus' cannot be used"),
+        (["--fix", "poisson_ratio=0.6"], "fixed (--fix): poisson_ratio is 0.6; expected more than -1"),
+        (["--camera", "foo"], "cameras (--camera): got foo, but tracks alone are fitted"),
+        (["--field-file", "none.ply"], "field_file: there is no file none.ply"),
+        (["--checkpoint", "none"], "checkpoint: got 'none'"),
     ):
         result = run(folder, "--out", tmp_path / "x", *arguments, *SMALL)
         assert isinstance(result.exception, InputError)
         assert message in str(result.exception)
+        assert not list((tmp_path / "x" / "stages").glob("*.npz"))  # no work was done
+
+
+@pytest.mark.wrong_types
+def test_options_of_another_type_are_refused(folder):
+    with pytest.raises(InputError, match="options: got a value of type dict; expected RefineOptions"):
+        refine(folder, options={"weights": 3})
 
 
 def test_a_wrong_choice_is_named(folder, tmp_path):

@@ -92,6 +92,13 @@ def test_values_out_of_range_are_told_by_name(run) -> None:
         FitOptions(wieghts=3)
     with pytest.raises(InputError, match="weights: got 0"):
         FitOptions().replace(weights=0)
+    assert FitOptions.or_default(None) == FitOptions() and FitOptions.or_default(FitOptions(weights=2)).weights == 2
+
+
+@pytest.mark.wrong_types
+def test_options_of_another_type_are_refused() -> None:
+    with pytest.raises(InputError, match="options: got a value of type dict; expected FitOptions"):
+        FitOptions.or_default({"weights": 2})
 
 
 def test_json_holds_every_field() -> None:

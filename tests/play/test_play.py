@@ -155,3 +155,9 @@ def test_bad_input_names_what_is_wrong(ball, tmp_path):
         with pytest.raises(InputError, match=pattern):
             raise result.exception
     assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.wrong_types
+def test_settings_that_are_no_list_are_refused(ball):
+    with pytest.raises(InputError, match=r"settings: got {'material.density': 500}"):
+        simulate(ball, settings={"material.density": 500})

@@ -15,7 +15,7 @@ from typing import cast
 import numpy as np
 
 from data_gen import changed, changes_of
-from inference import Refinement, RefineOptions, predict, reconstruct, refine
+from inference import ReconstructOptions, Refinement, RefineOptions, predict, reconstruct, refine
 from physconvex import ConvergenceError, InputError
 from physconvex.convex import ConvexField, bind_to_tets, read_ply
 from physconvex.dynamics import simulate
@@ -170,8 +170,8 @@ class _Object:
         return self._errors(np.array([np.log10(found.youngs_modulus), found.poisson_ratio]))
 
     def _field(self) -> PaperPart:
-        config = ReconstructionConfig(budget=self.options.field_budget, steps=self.options.field_steps)
-        found = reconstruct(self.first, out=self.work / "field", config=config)
+        options = ReconstructOptions(budget=self.options.field_budget, steps=self.options.field_steps)
+        found = reconstruct(self.first, out=self.work / "field", options=options)
         return PaperPart(convexes=len(found.field), psnr=float(np.mean([score.psnr for score in found.training])))
 
     def _refine(self, options: RefineOptions, name: str) -> Refinement:
@@ -271,7 +271,8 @@ class _Object:
         """A field of K points per convex: its first images, and its pictures in the motions of several models."""
         budget = max(50, self.options.field_budget // 4)
         config = ReconstructionConfig(budget=budget, steps=self.options.field_steps, points_per_convex=count)
-        found = reconstruct(self.first, out=self.work / f"field_{count}", config=config, turntable=False)
+        options = ReconstructOptions(config=config)
+        found = reconstruct(self.first, out=self.work / f"field_{count}", options=options)
         means = [float(np.mean([getattr(score, name) for score in found.training])) for name in ("psnr", "ssim")]
         motions = {"refined": self._refine(self._settings(), "refined").motion}
         motions |= {f"M{m}": self._reduced_refinement(m).motion for m in self.options.ablation}
