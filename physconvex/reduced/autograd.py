@@ -16,7 +16,7 @@ from physconvex.dynamics import Timing, simulate, simulate_with_sensitivities
 from physconvex.errors import InputError
 from physconvex.numerics import one_torch_thread
 from physconvex.reduced.adjoint import RecordedRollOut, Sweep
-from physconvex.reduced.basis import CallableWeights, checked_points
+from physconvex.reduced.basis import CallableWeights, checked_points, weight_slopes
 from physconvex.reduced.field_gradient import FieldBars
 from physconvex.reduced.parameters import with_parameters
 from physconvex.reduced.scene import ReducedScene
@@ -143,15 +143,7 @@ def rollout_of_weights(
     loads = none if scene.loads is None else scene.loads.points
     interior = torch.tensor(samples.interior.points, dtype=torch.float64, requires_grad=True)
     inside = function(interior)
-    slopes = torch.stack([_slope(inside[:, m], interior) for m in range(count)], dim=1)
+    slopes = weight_slopes(inside, interior, differentiable=True)
     others = np.concatenate([samples.surface_points, samples.mass.points, pins, loads, points])
     values = torch.cat([inside, function(torch.tensor(others, dtype=torch.float64))])
     return _WeightsRollOut.apply(values, slopes, recorded, points)
-
-
-def _slope(value: Tensor, x: Tensor) -> Tensor:
-    """∂value/∂x, differentiable once more."""
-    if not value.requires_grad:
-        return torch.zeros_like(x)
-    (slope,) = torch.autograd.grad(value.sum(), x, create_graph=True, allow_unused=True)
-    return torch.zeros_like(x) if slope is None else slope

@@ -51,7 +51,8 @@ class WeightField(Protocol):
         """Values [-] and gradients [1/m] at rest positions [m]."""
 
 
-def _check_count(count: int) -> None:
+def check_count(count: int) -> None:
+    """Raise an InputError unless so many weights are possible."""
     if not 1 <= count <= MAX_WEIGHTS:
         raise InputError(f"count: got {count} weights; expected 1 to {MAX_WEIGHTS} beside the constant one")
 
@@ -117,7 +118,7 @@ class NodalWeights(NodalFunctions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_count(self.count)
+        check_count(self.count)
 
 
 def eigenmode_weights(body: ElasticBody, count: int) -> NodalWeights:
@@ -128,7 +129,7 @@ def eigenmode_weights(body: ElasticBody, count: int) -> NodalWeights:
     Raises:
         InputError: `count` is not in 1..64, or too large for the mesh.
     """
-    _check_count(count)
+    check_count(count)
     return NodalWeights(body.mesh, skinning_eigenmodes(body, count)[0])
 
 
@@ -146,7 +147,7 @@ class CallableWeights:
     count: int
 
     def __post_init__(self) -> None:
-        _check_count(self.count)
+        check_count(self.count)
 
     def at(self, points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "P M"], Float[np.ndarray, "P M 3"]]:
         """Values [-] and gradients [1/m] at rest positions [m].
@@ -162,16 +163,29 @@ class CallableWeights:
                     f"function: gave shape {tuple(values.shape)}; expected finite weights of shape "
                     f"({len(x)}, {self.count}), one row per point"
                 )
-            gradients = torch.stack([self._slope(values[:, m], x) for m in range(self.count)], dim=1)
+            gradients = weight_slopes(values, x)
         return values.detach().double().numpy(), gradients.numpy()
 
-    @staticmethod
-    def _slope(value: Tensor, x: Tensor) -> Tensor:
-        """∂value/∂x, zero where the value does not depend on x."""
-        if not value.requires_grad:
-            return torch.zeros_like(x)
-        (slope,) = torch.autograd.grad(value.sum(), x, retain_graph=True, allow_unused=True)
-        return torch.zeros_like(x) if slope is None else slope
+
+def weight_slopes(
+    values: Float[Tensor, "P M"], x: Float[Tensor, "P 3"], *, differentiable: bool = False
+) -> Float[Tensor, "P M 3"]:
+    """∂W_m/∂x of weights, each row a function of its own point; zero where they do not depend on it.
+
+    Args:
+        values: the weights.
+        x: the points.
+        differentiable: whether the result can be differentiated again.
+    """
+    if not values.requires_grad:
+        return torch.zeros(*values.shape, 3).to(x)
+    slopes = (
+        torch.autograd.grad(
+            column.sum(), x, retain_graph=True, create_graph=differentiable, allow_unused=True, materialize_grads=True
+        )[0]
+        for column in values.T
+    )
+    return torch.stack(list(slopes), dim=1)
 
 
 def checked_points(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from jaxtyping import Float
 from torch import Tensor
@@ -45,9 +43,7 @@ class BodiesEquations(DenseNewton):
 
     def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
         """Fix everything that is constant during one time step, as `ReducedEquations` does for one body."""
-        self.coefficients = coefficients
-        if self.factorised and not math.isclose(coefficients.step, self._factorised_step, rel_tol=1e-9):
-            self.factorised = False
+        self.begin(coefficients)
         for body, where in zip(self.bodies, self.slices, strict=True):
             own = StepCoefficients(coefficients.step, coefficients.target[where], coefficients.base[where])
             state = State(last.time, last.positions[where], last.velocities[where])

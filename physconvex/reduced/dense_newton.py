@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
@@ -91,6 +92,12 @@ class DenseNewton(ABC):
         self._factor: np.ndarray | None = None
         self.secants = Secants(_SECANTS, smallest=_ROUNDED * size)
         self.coefficients: StepCoefficients | None = None
+
+    def begin(self, coefficients: StepCoefficients) -> None:
+        """A new time step: a factor of another step size does not count."""
+        self.coefficients = coefficients
+        same = math.isclose(coefficients.step, self._factorised_step, rel_tol=1e-9)
+        self.factorised = self.factorised and same
 
     def first_guess(self, guess: Float[np.ndarray, "R 3"], time: float) -> Float[np.ndarray, "R 3"]:
         """Start of Newton's method: the extrapolation, since pins are springs."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from jaxtyping import Float
 from torch import Tensor
@@ -43,10 +41,8 @@ class ReducedEquations(DenseNewton):
         As in the full model: viscosity is frozen at the guess; friction and sand take normal forces and pressure from
         the last state.
         """
-        self.coefficients, self.time, self._duration = coefficients, time, time - last.time
-        self.forces = self.scene.external_forces(time)
-        if self.factorised and not math.isclose(coefficients.step, self._factorised_step, rel_tol=1e-9):
-            self.factorised = False
+        self.begin(coefficients)
+        self.time, self._duration, self.forces = time, time - last.time, self.scene.external_forces(time)
         self.viscous = self.body.deformation_gradient(guess).contiguous() if self.scene.damping_time > 0 else None
         self._freeze(last.positions, coefficients.velocity(guess), last.time)
 

@@ -8,9 +8,9 @@ kink, like that of contact, and the derivative is a one-sided one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -18,7 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.errors import InputError
-from physconvex.materials import FlowRule, FlowStep, stored_flows
+from physconvex.materials import stored_flows
 from physconvex.reduced.body import ReducedBody
 
 _DIFFERENCE = 1e-6  # change of strains, and relative change of constants
@@ -39,17 +39,6 @@ class FlowingStep:
     step: float
     lagged: Float[np.ndarray, "R 3"]
     dlagged: Float[np.ndarray, "P R 3"]
-
-
-@dataclass(frozen=True)
-class _Along:
-    """Tangents of the response's inputs by one parameter."""
-
-    undo: Tensor
-    state: Tensor
-    mu: Tensor
-    lam: Tensor
-    rule: dict[str, float]
 
 
 class FlowTangents:
@@ -75,53 +64,38 @@ class FlowTangents:
     def forces(self, during: FlowingStep, x: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "P R 3"]:
         """Derivatives of the flow's generalised forces at fixed coordinates x [N]."""
         f = self.body.deformation_gradient(x)
-        none = torch.zeros_like(f)
-        found = [
-            self._along(k, during, f, none, lambda response, at: response.stress(at)) for k in range(len(self.names))
-        ]
-        return self.body.forces_of(torch.stack(found))
+        return self.body.forces_of(self._derivatives("stress", during, f, torch.zeros_like(self.dundo)))
 
     def advance(self, during: FlowingStep, x: Float[np.ndarray, "R 3"], dx: Float[np.ndarray, "P R 3"]) -> None:
         """Advance over a step with final coordinates x, whose derivative is dx."""
         f, df = self.body.deformation_gradient(x), self.body.deformation_gradient(dx)
-        found = [
-            self._along(k, during, f, df[k], lambda response, at: response.flowed(at)) for k in range(len(self.names))
-        ]
-        self.dundo = torch.stack(found)
+        self.dundo = self._derivatives("flowed", during, f, df)
+
+    def _derivatives(self, of: Literal["stress", "flowed"], during: FlowingStep, f: Tensor, df: Tensor) -> Tensor:
+        """Derivatives of a part of the response along the tangents of all parameters, shape [P, Q, 3, 3]."""
+        body = self.body
+        inputs = during.undo, body.deformation_gradient(during.lagged), body.mu, body.lam, f
+        dlagged = [body.deformation_gradient(y) for y in during.dlagged]
+        tangents = zip(self.names, self.dundo, dlagged, self.dmu, self.dlam, df, strict=True)
+        return torch.stack([self._along(of, name, during.step, inputs, along) for name, *along in tangents])
 
     def _along(
-        self, k: int, during: FlowingStep, f: Tensor, df: Tensor, of: Callable[[FlowStep, Tensor], Tensor]
+        self, of: Literal["stress", "flowed"], name: str, step: float, inputs: Sequence[Tensor], along: Sequence[Tensor]
     ) -> Tensor:
-        """Derivative of a part of the response along the tangents of parameter k."""
-        body = self.body
-        state, dstate = (body.deformation_gradient(y) for y in (during.lagged, during.dlagged[k]))
-        along = _Along(self.dundo[k], dstate, self.dmu[k], self.dlam[k], self._rule_change(k))
-        largest = max(
-            *(float(t.abs().max()) for t in (along.undo, along.state, along.mu / body.mu, along.lam / body.lam, df)),
-            *(abs(change / float(getattr(self.rule, name))) for name, change in along.rule.items()),
-            0.0,
-        )
+        """Derivative for changes of the inputs, and of the constant `name` of the rule if there is one."""
+        relative = along[0], along[1], along[2] / inputs[2], along[3] / inputs[3], along[4]
+        own = abs(1 / float(getattr(self.rule, name))) if name else 0.0
+        largest = max(*(float(t.abs().max()) for t in relative), own)
         if not largest > 0:
-            return torch.zeros_like(f)
+            return torch.zeros_like(inputs[-1])
         length = _DIFFERENCE / largest
 
-        def at(sign: float) -> Tensor:
-            h = sign * length
-            rule: FlowRule = self._moved_rule({name: h * change for name, change in along.rule.items()})
-            response = rule.during(
-                during.undo + h * along.undo,
-                state + h * along.state,
-                body.mu + h * along.mu,
-                body.lam + h * along.lam,
-                during.step,
-            )
-            return of(response, f + h * df)
+        def at(h: float) -> Tensor:
+            *before, f = (given + h * change for given, change in zip(inputs, along, strict=True))
+            rule: Any = self.rule
+            if name:
+                rule = replace(rule, **{name: getattr(rule, name) + h})
+            part: Tensor = getattr(rule.during(*before, step), of)(f)
+            return part
 
-        return (at(1.0) - at(-1.0)) / (2 * length)
-
-    def _rule_change(self, k: int) -> dict[str, float]:
-        return {self.names[k]: 1.0} if self.names[k] else {}
-
-    def _moved_rule(self, changes: dict[str, float]) -> FlowRule:
-        rule: Any = self.rule
-        return replace(rule, **{name: getattr(rule, name) + change for name, change in changes.items()})
+        return (at(length) - at(-length)) / (2 * length)

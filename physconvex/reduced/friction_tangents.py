@@ -59,7 +59,7 @@ def friction_tangent(
         nodes, depth = contact.touching(obstacle, frozen.x, frozen.time)
         if not len(nodes):
             continue
-        here = _Touching.of(obstacle, nodes, depth, frozen)
+        here = _Touching(obstacle, nodes, depth, frozen)
         now, dnow = velocity[nodes] - here.belt, dvelocity[:, nodes]
         if obstacle.friction:
             out[:, nodes] += _rubbed(contact, here, now, dnow)
@@ -72,40 +72,25 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a * b).sum(-1, keepdims=True)
 
 
-@dataclass(frozen=True)
 class _Touching:
     """Points in contact in the state at which friction is frozen, and their derivatives by the parameters.
 
     Attributes:
-        nodes: their indices.
-        depth: p [m].
-        friction: coefficient of the obstacle.
-        belt: its velocity [m/s].
+        nodes, depth: their indices, and p [m].
+        friction, belt: coefficient of the obstacle, and its velocity [m/s].
         normals, dnormals: n and its derivatives.
         dx: derivatives of the positions.
         slip, dslip: velocity over the belt, and the derivatives of the points' velocities.
         frozen: state at which friction is frozen.
     """
 
-    nodes: np.ndarray
-    depth: np.ndarray
-    friction: float
-    belt: np.ndarray
-    normals: np.ndarray
-    dnormals: np.ndarray
-    dx: np.ndarray
-    slip: np.ndarray
-    dslip: np.ndarray
-    frozen: FreezeTangent
-
-    @classmethod
-    def of(cls, obstacle: Obstacle, nodes: np.ndarray, depth: np.ndarray, frozen: FreezeTangent) -> _Touching:
-        """At some points."""
-        x, dx, time = frozen.x[nodes], frozen.dx[:, nodes], frozen.time
-        n, belt = obstacle.normals(x, time), obstacle.velocity_at(time)
-        dn = obstacle.curvature(x, time)[:, None] * (dx - n * _dot(n, dx))
-        slip = frozen.v[nodes] - belt
-        return cls(nodes, depth, obstacle.friction, belt, n, dn, dx, slip, frozen.dv[:, nodes], frozen)
+    def __init__(self, obstacle: Obstacle, nodes: np.ndarray, depth: np.ndarray, frozen: FreezeTangent) -> None:
+        self.nodes, self.depth, self.friction, self.frozen = nodes, depth, obstacle.friction, frozen
+        x, time = frozen.x[nodes], frozen.time
+        self.normals, self.belt, self.dx = obstacle.normals(x, time), obstacle.velocity_at(time), frozen.dx[:, nodes]
+        across = self.dx - self.normals * _dot(self.normals, self.dx)
+        self.dnormals = obstacle.curvature(x, time)[:, None] * across
+        self.slip, self.dslip = frozen.v[nodes] - self.belt, frozen.dv[:, nodes]
 
 
 def _rubbed(contact: Contact, here: _Touching, now: np.ndarray, dnow: np.ndarray) -> np.ndarray:

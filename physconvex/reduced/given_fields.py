@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody
-from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights, WeightField
+from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights, WeightField, check_count
 from physconvex.reduced.elastic_basis import principal_fields
 
 
@@ -51,8 +51,7 @@ class ArrayWeights:
     difference: float | None = None
 
     def __post_init__(self) -> None:
-        if not 1 <= self.count <= MAX_WEIGHTS:
-            raise InputError(f"count: got {self.count} weights; expected 1 to {MAX_WEIGHTS} beside the constant one")
+        check_count(self.count)
         if self.gradient is None and (self.difference is None or not self.difference > 0):
             raise InputError(
                 f"gradient, difference: got None and {self.difference}; expected a function that gives gradients, or "

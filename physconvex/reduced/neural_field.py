@@ -22,7 +22,7 @@ from torch import Tensor
 
 from physconvex.errors import InputError
 from physconvex.materials import checked_constant, get_law, lame_parameters
-from physconvex.reduced.basis import MAX_WEIGHTS
+from physconvex.reduced.basis import check_count
 from physconvex.reduced.cubature import BodySamples
 
 Layers = list[tuple[Tensor, Tensor]]
@@ -216,8 +216,7 @@ def train_neural_weights(
         InputError: `count` is not in 1..64, constants of a wrong shape or range, or the training diverges.
     """
     options = NeuralFieldOptions() if options is None else options
-    if not 1 <= count <= MAX_WEIGHTS:
-        raise InputError(f"count: got {count} weights; expected 1 to {MAX_WEIGHTS} beside the constant one")
+    check_count(count)
     trainer = _Trainer(samples, youngs_modulus, poisson_ratio, options)
     layers = _initial_layers([3, *[options.hidden_size] * options.hidden_layers, count], generator)
     elastic, orthogonality = trainer.train(layers, generator, on_step)

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import Obstacle, Wind
+from physconvex.dynamics import Wind
 from physconvex.errors import InputError
 from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.scene import ReducedScene
@@ -169,49 +169,40 @@ def with_parameters(scene: ReducedScene, names: Sequence[str], values: Float[np.
     return scene
 
 
-def _rougher(obstacle: Obstacle, change: float) -> Obstacle:
-    """The same obstacle with another friction coefficient."""
-    return replace(obstacle, friction=obstacle.friction + change)
-
-
 def _set(scene: ReducedScene, name: str, value: float) -> ReducedScene:
     body, before = scene.body, _read(scene, name)
     change, (stem, region) = value - before, region_of(name)
     here = cells_of(body, region)
+    changed: dict[str, Any]
     match stem:
         case "log10_youngs_modulus":
-            return replace(scene, body=body.with_material(youngs_modulus=body.youngs_modulus * 10 ** (change * here)))
+            changed = {"body": body.with_material(youngs_modulus=body.youngs_modulus * 10 ** (change * here))}
         case "poisson_ratio":
-            return replace(scene, body=body.with_material(poisson_ratio=body.poisson_ratio + change * here))
+            changed = {"body": body.with_material(poisson_ratio=body.poisson_ratio + change * here)}
         case "density":
-            return replace(scene, body=body.with_material(density=body.density * (value / before) ** here))
-        case "damping_time":
-            return replace(scene, damping_time=value)
-        case "air_drag":
-            return replace(scene, air_drag=value)
-        case "contact_damping":
-            return replace(scene, contact_damping=value)
+            changed = {"body": body.with_material(density=body.density * (value / before) ** here)}
+        case "damping_time" | "air_drag" | "contact_damping":
+            changed = {stem: value}
         case "friction":
-            return replace(scene, obstacles=tuple(_rougher(o, change) if o.friction else o for o in scene.obstacles))
+            rougher = (replace(o, friction=o.friction + change) if o.friction else o for o in scene.obstacles)
+            changed = {"obstacles": tuple(rougher)}
         case "log10_contact_stiffness":
-            return replace(scene, contact_stiffness=10**value)
-    if _flows_by(body, name):
-        flow: Any = body.flow
-        return replace(scene, body=body.with_flow(replace(flow, **{name: value})))
-    stem, axis = axis_of(name)
-    step = change * np.eye(3)[axis]
-    if stem == "initial_position":
-        return replace(scene, initial_coordinates=scene.unturned + body.space.affine(np.zeros((3, 3)), step))
-    if stem == "wind":
-        wind = _wind(scene)
-        return replace(scene, wind=replace(wind, velocity=wind.velocity_at(0.0) + step))
-    vector = np.asarray(getattr(scene, stem), dtype=np.float64) + step
-    match stem:
-        case "gravity":
-            return replace(scene, gravity=vector)
-        case "initial_velocity":
-            return replace(scene, initial_velocity=vector)
-        case "initial_orientation":
-            return replace(scene, initial_orientation=vector)
+            changed = {"contact_stiffness": 10**value}
+        case _ if _flows_by(body, name):
+            flow: Any = body.flow
+            changed = {"body": body.with_flow(replace(flow, **{name: value}))}
         case _:
-            return replace(scene, initial_angular_velocity=vector)
+            changed = _shifted(scene, *axis_of(name), change)
+    return replace(scene, **changed)
+
+
+def _shifted(scene: ReducedScene, stem: str, axis: int, change: float) -> dict[str, Any]:
+    """Vectors of the scene with one component changed."""
+    step = change * np.eye(3)[axis]
+    match stem:
+        case "initial_position":
+            return {"initial_coordinates": scene.unturned + scene.body.space.affine(np.zeros((3, 3)), step)}
+        case "wind":
+            wind = _wind(scene)
+            return {"wind": replace(wind, velocity=wind.velocity_at(0.0) + step)}
+    return {stem: np.asarray(getattr(scene, stem), dtype=np.float64) + step}

@@ -17,6 +17,7 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
+from torch import Tensor
 
 from physconvex.dynamics import State, StepCoefficients, StepRecord, Timing, extrapolate, step_coefficients
 from physconvex.reduced.equations import ReducedEquations
@@ -49,35 +50,30 @@ class _Tangents:
         before = record.before
         frozen = freeze(before.positions, c.velocity(guess), before.time, self.state.positions, change.velocity(dguess))
         dx, lagged, dlagged = dguess, before.positions, self.state.positions
+        state = self.body.deformation_gradient(guess).contiguous() if self.derivatives.viscous else None
+        surface, dvelocity = equations.surface, equations.surface @ (-change.base / c.step)
         undo = None if equations.response is None else equations.response.undo
         for number, solved in enumerate(record.passes):
             if number:
                 lagged, dlagged = record.passes[number - 1].x, dx
             equations.friction = solved.friction
-            residual = self._residual(equations, (c, change), (guess, dguess), solved.x)
+            residual = self._residual(equations, (c, change), (state, dguess), solved.x)
             if self.flow is not None and undo is not None:
                 equations.response = self.body.flow_step(undo, lagged, record.step)
                 residual += self.flow.forces(FlowingStep(undo, record.step, lagged, dlagged), solved.x)
-            velocity, dvelocity = self._surface_velocities(c, change, solved.x)
-            residual += equations.surface.T @ friction_tangent(equations.contact, frozen, velocity, dvelocity)
+            velocity = surface @ c.velocity(solved.x)
+            residual += surface.T @ friction_tangent(equations.contact, frozen, velocity, dvelocity)
             dx = -equations.exact_solve(solved.x, residual)
             frozen = freeze(solved.x, c.velocity(solved.x), record.after.time, dx, change.velocity(dx))
         if self.flow is not None and undo is not None:
             self.flow.advance(FlowingStep(undo, record.step, lagged, dlagged), record.passes[-1].x, dx)
         self.previous, self.state = self.state, State(record.after.time, dx, change.velocity(dx))
 
-    def _surface_velocities(
-        self, c: StepCoefficients, change: StepCoefficients, x: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Velocities of the surface samples, and their derivatives at fixed x."""
-        surface = self.body.space.surface_values
-        return surface @ c.velocity(x), surface @ (-change.base / c.step)
-
     def _residual(
         self,
         equations: ReducedEquations,
         coefficients: tuple[StepCoefficients, StepCoefficients],
-        guesses: tuple[np.ndarray, np.ndarray],
+        viscosity: tuple[Tensor | None, np.ndarray],
         x: np.ndarray,
     ) -> np.ndarray:
         """Derivative of the gradient at fixed x (without friction), [P, R, 3].
@@ -85,22 +81,19 @@ class _Tangents:
         Args:
             equations: of the step.
             coefficients: of the step, and their derivatives.
-            guesses: state at which viscosity is frozen, and its derivatives.
+            viscosity: F* at which it is frozen, and the derivatives of the coordinates there.
             x: the solution of a pass.
         """
-        (c, change), (guess, dguess) = coefficients, guesses
-        body, scene = self.body, self.scene
-        dv = -change.base / c.step  # of the velocity at fixed x
-        state = body.deformation_gradient(guess).contiguous() if self.derivatives.viscous else None
+        (c, change), (state, dguess), scene = coefficients, viscosity, self.scene
+        velocity, dv = c.velocity(x), -change.base / c.step  # the latter at fixed x
         out = self.derivatives.explicit(equations, c, x, state)
-        out += body.mass @ (-change.target / c.step**2 + scene.air_drag * dv)
+        out += self.body.mass @ (-change.target / c.step**2 + scene.air_drag * dv)
         if scene.wind is not None:
-            blocks = equations.wind_blocks(c.velocity(x))
+            blocks = equations.wind_blocks(velocity)
             out += equations.surface.T @ np.einsum("sij,psj->psi", blocks, equations.surface @ dv)
         if scene.damping_time > 0 and state is not None:
-            velocity = c.velocity(x)
             for row, step, speed_up in zip(out, dguess, dv, strict=True):
-                row += body.viscous_tangent(state, velocity, step, speed_up, scene.damping_time)
+                row += self.body.viscous_tangent(state, velocity, step, speed_up, scene.damping_time)
         return out
 
 
