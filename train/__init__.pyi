@@ -14,9 +14,8 @@ from .loop import train_predictor as train_predictor
 from .losses import smoothed_target as smoothed_target
 from .metrics import constant_mae as constant_mae
 from .motion_states import flipped_states as flipped_states
-from .options import Pretraining as Pretraining
+from .options import PaperOptions as PaperOptions, Pretraining as Pretraining
 from .paper.evaluation import evaluate_paper as evaluate_paper
-from .paper.options import PaperOptions as PaperOptions
 from .reconstruction_coverage import Coverage as Coverage, measure_coverage as measure_coverage
 from .records import (
     LabelledClip as LabelledClip,

@@ -1,25 +1,33 @@
-"""Batches of augmented clips with their targets; every draw depends only on seed, epoch and clip."""
+"""Batches of augmented clips with their targets; every draw depends only on seed, epoch and clip.
+
+The clips of each step are a function of the seed, so that a run can continue at any step.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal, TypeVar
 
 import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float32, Int64
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from models import ClipBatch, dimensionless_interval, log10_dimensionless_stiffness
+from physconvex import InputError
 from train.augment import Sample, augment
-from train.cache import PreparedClips
-from train.config import AugmentConfig
-from train.epoch_plan import Plan
+from train.cache import PreparedClips, prepare_clips
+from train.config import AugmentConfig, TrainConfig
 from train.losses import Targets
 from train.motion_states import referred_states
-from train.records import ClipSamples, LabelledClip
+from train.records import ClipSamples, LabelledClip, read_clips
 
 _POINTS, _FRAMES = 256, 8  # of the samples of a simulation, drawn anew each time
+_Example = dict[str, np.ndarray]  # one clip: fields of `ClipBatch` and `Targets`
+_Stack = TypeVar("_Stack", ClipBatch, Targets)
 
 
 @dataclass(frozen=True)
@@ -36,16 +44,6 @@ class TrainingBatch:
 
     clips: ClipBatch
     targets: Targets
-
-
-@dataclass(frozen=True, eq=False)
-class _Example:
-    sample: Sample
-    confidence: float
-    log10_stiffness: float
-    poisson_ratio: float
-    samples: ClipSamples
-    displacements: Float32[np.ndarray, "Q N"]
 
 
 class TrainingClips(Dataset[_Example]):
@@ -90,14 +88,11 @@ class TrainingClips(Dataset[_Example]):
             sample = augment(sample, config, generator)
         shown = np.sort(generator.permutation(len(samples.displacements))[:_FRAMES])
         motion = np.moveaxis(samples.displacements[shown], 0, 1).reshape(len(samples.points), -1)
-        return _Example(
-            sample=sample,
-            confidence=float(self.prepared.confidence[k]),
-            log10_stiffness=float(self.log10_stiffness[k]),
-            poisson_ratio=float(self.poisson_ratio[k]),
-            samples=samples,
-            displacements=motion,
-        )
+        labels = {"log10_stiffness": self.log10_stiffness[k], "poisson_ratio": self.poisson_ratio[k]}
+        numbers = labels | {"interval": sample.interval, "confidence": self.prepared.confidence[k]}
+        targets = {name: getattr(samples, name) for name in ("modes", "importance", "volume_weights")}
+        scalars = {name: np.float32(value) for name, value in numbers.items()}
+        return vars(sample) | targets | scalars | {"displacements": motion}
 
     def _subsampled(self, samples: ClipSamples, generator: np.random.Generator) -> ClipSamples:
         chosen = np.sort(generator.permutation(len(samples.points))[:_POINTS])
@@ -122,26 +117,60 @@ def _shown_states(clip: LabelledClip, prepared: PreparedClips, index: int) -> Fl
 
 def collate(examples: Sequence[_Example]) -> TrainingBatch:
     """Stack."""
-    samples = [example.sample for example in examples]
-    return TrainingBatch(
-        clips=ClipBatch(
-            windows=torch.from_numpy(np.stack([s.windows for s in samples])),
-            moments=torch.from_numpy(np.stack([s.moments for s in samples])),
-            valid=torch.from_numpy(np.stack([s.valid for s in samples])),
-            interval=torch.tensor([s.interval for s in samples], dtype=torch.float32),
-            confidence=torch.tensor([e.confidence for e in examples], dtype=torch.float32),
-        ),
-        targets=Targets(
-            log10_stiffness=torch.tensor([e.log10_stiffness for e in examples], dtype=torch.float32),
-            poisson_ratio=torch.tensor([e.poisson_ratio for e in examples], dtype=torch.float32),
-            states=torch.from_numpy(np.stack([s.states for s in samples])),
-            points=torch.from_numpy(np.stack([s.points for s in samples])),
-            modes=torch.from_numpy(np.stack([e.samples.modes for e in examples])),
-            importance=torch.from_numpy(np.stack([e.samples.importance for e in examples])),
-            volume_weights=torch.from_numpy(np.stack([e.samples.volume_weights for e in examples])),
-            displacements=torch.from_numpy(np.stack([e.displacements for e in examples])),
-        ),
-    )
+    return TrainingBatch(_stacked(ClipBatch, examples), _stacked(Targets, examples))
+
+
+def _stacked(kind: type[_Stack], examples: Sequence[Mapping[str, np.ndarray]]) -> _Stack:
+    names = kind.__dataclass_fields__
+    return kind(**{name: torch.from_numpy(np.stack([example[name] for example in examples])) for name in names})
+
+
+@dataclass(frozen=True)
+class PlannedStep:
+    """One update."""
+
+    epoch: int
+    clips: list[int]
+    ends_epoch: bool
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Every clip once an epoch, but for the last incomplete batch."""
+
+    clips: int
+    epochs: int
+    batch_size: int
+    seed: int
+
+    @classmethod
+    def of(cls, config: TrainConfig, clips: int, *, world: int = 1) -> Plan:
+        """The plan of a configuration.
+
+        Raises:
+            InputError: the batch cannot be divided among the processes, or there are too few clips.
+        """
+        size = min(config.batch_size, clips)
+        if size % world:
+            raise InputError(f"batch_size: {size} is no multiple of {world} processes; change it in the configuration")
+        return cls(clips, config.epochs, size, config.seed)
+
+    @property
+    def steps(self) -> int:
+        """Of the whole run."""
+        return self.epochs * (self.clips // self.batch_size)
+
+    def step(self, number: int) -> PlannedStep:
+        """The clips of step `number`."""
+        per_epoch, size = self.clips // self.batch_size, self.batch_size
+        epoch, place = divmod(number, per_epoch)
+        chosen = _permutation(self.seed, epoch, self.clips)[place * size : (place + 1) * size]
+        return PlannedStep(epoch=epoch, clips=chosen.tolist(), ends_epoch=place == per_epoch - 1)
+
+
+@lru_cache(maxsize=4)
+def _permutation(seed: int, epoch: int, count: int) -> Int64[np.ndarray, " N"]:
+    return np.random.default_rng([seed, epoch]).permutation(count)
 
 
 class _Schedule(Sampler[list[Item]]):
@@ -172,3 +201,45 @@ def batches(
         prefetch_factor=4 if workers else None,
     )
     return iter(loader)
+
+
+def split_clips(
+    split: Literal["train", "validation"],
+    config: TrainConfig,
+    data: Sequence[Path | str],
+    cache: Path,
+    *,
+    workers: int,
+    report: Callable[[str, int, int], None],
+) -> TrainingClips:
+    """The clips of one split of data sets, prepared for a recipe.
+
+    Those for training are augmented, some with their true masks; those for validation are as at inference.
+
+    Args:
+        split: which objects.
+        config: the recipe.
+        data: data-set folders.
+        cache: where prepared clips live.
+        workers: processes that prepare them; 0 does so in this one.
+        report: called with a name of the work, the number done and the total.
+
+    Raises:
+        InputError: bad data, or no clip in the split.
+    """
+    clips, training = read_clips(data, split), split == "train"
+    prepared = prepare_clips(
+        clips,
+        config.clip,
+        cache,
+        true_mask_share=config.true_mask_share if training else 0.0,
+        workers=workers,
+        progress=lambda done, total: report(f"preparing {split} clips", done, total),
+    )
+    return TrainingClips(
+        clips,
+        prepared,
+        augmentation=config.augment if training else None,
+        modes=config.loss.modes,
+        seed=config.seed,
+    )

@@ -7,18 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from models import (
-    Calibration,
-    ClipConfig,
-    PhysicsNetwork,
-    PhysicsPredictor,
-    PredictorConfig,
-    TrainingRange,
-    find_checkpoint,
-)
+from models import ClipConfig, PhysicsNetwork, PhysicsPredictor, PredictorConfig, TrainingRange, find_checkpoint
 from train.data import TrainingClips
+from train.metrics import DensityMetrics
 from train.records import data_listing
 from train.validation import Validation
 
@@ -48,12 +39,9 @@ def export_best(
 ) -> None:
     """Write network, calibration, ranges and metrics for `PhysicsPredictor.from_pretrained`."""
     calibration = validation.calibration()
-    stiffness, poisson = validation.metrics(calibration)
-    ranges = TrainingRange(
-        log10_stiffness=_range(clips.log10_stiffness),
-        poisson_ratio=_range(clips.poisson_ratio),
-        interval=_range(clips.interval),
-    )
+    stiffness, poisson = metrics = validation.metrics(calibration)
+    labels = {name: getattr(clips, name) for name in ("log10_stiffness", "poisson_ratio", "interval")}
+    ranges = TrainingRange(**{name: (float(of.min()), float(of.max())) for name, of in labels.items()})
     config = PredictorConfig(
         network=network.config,
         clip=settings,
@@ -66,19 +54,20 @@ def export_best(
             "skinning_energy_missed": validation.captured,
         },
     )
-    card = model_card(validation, calibration, ranges, clips=len(clips), origin=origin)
+    card = _model_card(validation, metrics, ranges, clips=len(clips), origin=origin)
     PhysicsPredictor(network, config).save_pretrained(folder, model_card=card)
 
 
-def _range(values: np.ndarray) -> tuple[float, float]:
-    return float(values.min()), float(values.max())
-
-
-def model_card(
-    validation: Validation, calibration: Calibration, ranges: TrainingRange, *, clips: int, origin: Origin
+def _model_card(
+    validation: Validation,
+    metrics: tuple[DensityMetrics, DensityMetrics],
+    ranges: TrainingRange,
+    *,
+    clips: int,
+    origin: Origin,
 ) -> str:
     """Markdown: training data, accuracy and limits of the network."""
-    stiffness, poisson = validation.metrics(calibration)
+    stiffness, poisson = metrics
     low, high = ranges.log10_stiffness
     earlier = "" if origin.checkpoint is None else _earlier_training(origin.checkpoint, origin.share)
     also = f"\n{origin.beside}\n" if origin.beside else ""

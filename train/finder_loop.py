@@ -1,11 +1,11 @@
-"""Training loop of the finder's two networks, and the measure of their silhouettes."""
+"""Training of the finder's two networks, and the measure of their silhouettes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -13,16 +13,21 @@ from jaxtyping import Bool
 from timm.utils import ModelEmaV3
 from torch import Tensor, nn
 
+import physconvex
+from models import OutlineConfig, SegmenterConfig, save_network
 from train.progress import Report
+from train.records import LabelledClip, Split, data_listing, read_clips
 from train.segmentation_data import SegmentationAugmentation
 
-_Network = TypeVar("_Network", bound=nn.Module)
+Network = TypeVar("Network", bound=nn.Module)
+Clip = TypeVar("Clip")
 
 
 @dataclass(frozen=True, kw_only=True)
 class FinderRecipe:
     """Common part of both recipes."""
 
+    network: SegmenterConfig | OutlineConfig
     steps: int
     """Of the optimiser."""
     batch: int
@@ -33,6 +38,8 @@ class FinderRecipe:
     """Of AdamW."""
     average: float
     """Decay of the running average of the weights, which is the result."""
+    thinning: int = 1
+    """Every so many-th training clip is used."""
     start: Path | None = None
     """Checkpoint to go on from, of the same network; random weights unless given."""
     augmentation: SegmentationAugmentation = field(default_factory=SegmentationAugmentation)
@@ -40,23 +47,77 @@ class FinderRecipe:
     """Of everything random."""
 
 
-def train_finder_network(
-    recipe: FinderRecipe,
-    build: Callable[[], _Network],
-    losses_of_step: Callable[[_Network, np.random.Generator], Iterable[Tensor]],
-    report: Report,
-) -> tuple[_Network, list[float]]:
-    """The averaged network in evaluation mode, and the loss of every step.
+@dataclass(frozen=True)
+class FinderResult:
+    """How a training ended."""
 
-    Args:
-        recipe: steps, rates, seed.
-        build: the network to start from; drawn from torch's generator, seeded.
-        losses_of_step: losses of the clips of one step, one after the other, from the step's generator.
-        report: called with a name of the work, the number done, the total.
+    losses: tuple[float, ...]
+    """Of every step."""
+    metrics: dict[str, float]
+    """On validation clips; `intersection_over_union` of the silhouettes with the truth, a mean (0..1)."""
+
+
+class FinderTask(Protocol[Network, Clip]):
+    """What one of the two networks learns, and from which clips."""
+
+    def read(self, clips: Sequence[LabelledClip], progress: Callable[[int], None]) -> list[Clip]:
+        """The clips, as they are kept in memory; calls `progress` with the number read."""
+
+    def network(self) -> Network:
+        """The network to start from."""
+
+    def loss(self, network: Network, clip: Clip, generator: np.random.Generator) -> Tensor:
+        """Of one clip, changed at random."""
+
+    def metrics(self, network: Network, clips: Sequence[Clip]) -> dict[str, float]:
+        """Of the trained network."""
+
+
+def train_finder(
+    task: FinderTask[Network, Clip],
+    recipe: FinderRecipe,
+    data: Sequence[Path | str],
+    out: Path | str,
+    card: str,
+    *,
+    report: Report | None = None,
+) -> FinderResult:
+    """Train on the `train` split, measure on `validation`, write a checkpoint into `out`.
+
+    Random numbers depend only on the seed. `report` is called with a name of the work, the number done, the total. The
+    model card is a format of `recipe`, `data`, `begun`, the numbers of clips `train` and `validation`, and the metrics.
+
+    Raises:
+        InputError: a folder is no data set, or has no clip in one of the two splits.
     """
+    say: Report = report or (lambda name, done, total: None)
+    listed: dict[Split, list[LabelledClip]] = {
+        "train": read_clips(data, "train")[:: recipe.thinning],
+        "validation": read_clips(data, "validation"),
+    }
+
+    def read(split: Split) -> list[Clip]:
+        clips = listed[split]
+        return task.read(clips, lambda done: say(f"reading {split} clips", done, len(clips)))
+
+    training, validation = read("train"), read("validation")
+    network, losses = _averaged(task, recipe, training, say)
+    metrics = task.metrics(network, validation)
+    begun = "from random weights" if recipe.start is None else "from the weights of an earlier training"
+    counts = {split: len(clips) for split, clips in listed.items()}
+    model_card = card.format(recipe=recipe, data=data_listing(data), begun=begun, **counts, **metrics)
+    stored = recipe.network.model_copy(update={"version": physconvex.__version__, "metrics": metrics})
+    save_network(out, network, stored, model_card=model_card)
+    return FinderResult(tuple(losses), metrics)
+
+
+def _averaged(
+    task: FinderTask[Network, Clip], recipe: FinderRecipe, clips: Sequence[Clip], report: Report
+) -> tuple[Network, list[float]]:
+    """The averaged network in evaluation mode, and the loss of every step."""
     with torch.random.fork_rng():
         torch.manual_seed(recipe.seed)
-        network = build()
+        network = task.network()
     network = network.to(memory_format=torch.channels_last)
     average = ModelEmaV3(network, decay=recipe.average, use_warmup=True)
     optimizer = torch.optim.AdamW(network.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay)
@@ -66,9 +127,9 @@ def train_finder_network(
     losses = []
     for step in range(recipe.steps):
         optimizer.zero_grad()
-        total = 0.0
-        for loss in losses_of_step(network, np.random.default_rng((recipe.seed, step))):
-            share = loss / recipe.batch
+        generator, total = np.random.default_rng((recipe.seed, step)), 0.0
+        for index in generator.integers(0, len(clips), recipe.batch):
+            share = task.loss(network, clips[index], generator) / recipe.batch
             share.backward()
             total += float(share.detach())
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+import physconvex
 from models import ClipEstimate, PhysicsPredictor, PreparedClip
 from train.cache import PreparedClips, prepare_clips
 from train.options import EvaluationOptions, Shown
 from train.progress import Report
-from train.records import LabelledClip, read_clips
+from train.records import LabelledClip, dataset_checksum, read_clips
 
 _BATCH = 16
 
@@ -28,15 +31,42 @@ class HeldOut:
         return len(self.labels)
 
 
+@dataclass(frozen=True, eq=False)
+class Evaluated:
+    """What an evaluation is of."""
+
+    checkpoint: str
+    split: str
+    data: dict[str, str]
+    """Manifest checksums."""
+
+    def write(self, path: Path, content: dict[str, object]) -> None:
+        """A JSON file of this and what was found, with the command."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        tree = {
+            "command": "physconvex " + " ".join(sys.argv[1:]),
+            "version": physconvex.__version__,
+            "checkpoint": self.checkpoint,
+            "split": self.split,
+            "data": self.data,
+        }
+        path.write_text(json.dumps(tree | content, indent=1) + "\n", encoding="utf-8")
+
+
 def evaluated_clips(
     data: Sequence[Path | str], options: EvaluationOptions, *, out: Path, report: Report | None = None
-) -> tuple[PhysicsPredictor, HeldOut]:
-    """The predictor and its input clips; they are cached in `out/cache` unless the options give another place."""
+) -> tuple[Evaluated, PhysicsPredictor, HeldOut]:
+    """What is evaluated: the predictor and its input clips.
+
+    These are cached in `out/cache` unless the options give another place.
+    """
     predictor = PhysicsPredictor.from_pretrained(options.checkpoint, device=options.device)
-    cache = options.cache or out / "cache"
-    return predictor, held_out(
-        data, predictor, split=options.split, cache=cache, limit=options.limit, workers=options.workers, report=report
-    )
+    clips = held_out(
+        data, predictor, split=options.split, cache=options.cache or out / "cache", limit=options.limit,
+        workers=options.workers, report=report,
+    )  # fmt: skip
+    checksums = {str(folder): dataset_checksum(folder) for folder in data}
+    return Evaluated(options.checkpoint, options.split, checksums), predictor, clips
 
 
 def held_out(

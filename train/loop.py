@@ -16,22 +16,18 @@ from pathlib import Path
 import torch
 from accelerate import Accelerator
 from accelerate.utils import DistributedDataParallelKwargs, broadcast
-from timm.optim import create_optimizer_v2
 from timm.utils import ModelEmaV3
 
 from models import PhysicsNetwork, load_checkpoint, load_pretrained_encoder
 from physconvex import InputError
 from train.config import TrainConfig
-from train.data import TrainingBatch, batches
-from train.epoch_plan import Plan, PlannedStep
+from train.data import Plan, PlannedStep, TrainingBatch, batches, split_clips
 from train.export import Origin, export_best
 from train.losses import compute_losses, noisy_states
-from train.precision import precision_for
+from train.optimisation import optimizer_of, precision_for
 from train.progress import Report
 from train.run_log import RunLog, run_fingerprint, write_config
-from train.run_state import TrainingProgress, load_training_state, refuse_other_run, save_training_state
-from train.schedule import cosine_schedule
-from train.split_clips import split_clips
+from train.run_state import TrainingProgress, TrainingState
 from train.validation import Validation, validate
 
 _LOG = logging.getLogger("physconvex")
@@ -122,11 +118,10 @@ class _Run:
             network.load_state_dict(self.start)
         self.average = ModelEmaV3(network, decay=config.ema_decay, use_warmup=True)
         self.average.to(self.accelerator.device)
-        optimizer = create_optimizer_v2(
-            network, opt=config.optimizer, lr=config.learning_rate, weight_decay=config.weight_decay
-        )
-        self.schedule = cosine_schedule(optimizer, config, self.plan.steps)
+        optimizer, self.schedule = optimizer_of(config, network, self.plan.steps)
         self.model, self.optimizer = self.accelerator.prepare(network, optimizer)
+        path = self.out / "state.safetensors"
+        self.state = TrainingState(path, self.network, self.average.module, self.optimizer.optimizer)
 
     @property
     def network(self) -> PhysicsNetwork:
@@ -179,23 +174,11 @@ class _Run:
 
     def _start(self, resume: bool) -> TrainingProgress:
         """Where to begin; the state is put back."""
-        mark = run_fingerprint(self.config, self.data)
-        path = self.out / "state.safetensors"
-        progress = TrainingProgress(fingerprint=mark)
-        if resume and path.is_file():
-            refuse_other_run(path, mark)
-            progress = load_training_state(
-                path, network=self.network, average=self.average.module, optimizer=self._plain_optimizer
-            )
+        progress = self.state.load(run_fingerprint(self.config, self.data), resume=resume)
         if self.main:
             write_config(self.out, self.config, self.data)
         self.accelerator.wait_for_everyone()
         return progress
-
-    @property
-    def _plain_optimizer(self) -> torch.optim.Optimizer:
-        optimizer: torch.optim.Optimizer = self.optimizer.optimizer
-        return optimizer
 
     def _agreed(self, seconds: float) -> float:
         """The main process's clock, so that all stop together."""
@@ -283,13 +266,7 @@ class _Run:
 
     def _save(self, progress: TrainingProgress) -> None:
         if self.main:
-            save_training_state(
-                self.out / "state.safetensors",
-                network=self.network,
-                average=self.average.module,
-                optimizer=self._plain_optimizer,
-                progress=progress,
-            )
+            self.state.save(progress)
 
 
 def _starting_point(config: TrainConfig) -> PhysicsNetwork:

@@ -22,7 +22,7 @@ from models import (
 from train.config import LossConfig
 
 _Scores = tuple[Float[Tensor, " B"], Float[Tensor, " B"]]
-"""Negative logarithmic score and CRPS of each clip."""
+"""Two numbers of each clip, as the negative logarithmic score and the CRPS of a density."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +70,7 @@ def compute_losses(
     """Cross-entropy with smoothed targets and CRPS for both densities; states; span and captured energy for W."""
     stiffness, poisson = _scores_of_both(output, targets.log10_stiffness, targets.poisson_ratio, config, network)
     assert output.weights is not None
-    weights = output.weights.float()
-    span = span_loss(weights, targets.modes, targets.volume_weights, targets.importance).mean()
-    captured = captured_energy_loss(weights, targets.displacements, targets.points, targets.volume_weights).mean()
+    span, captured = (part.mean() for part in skinning_losses(output.weights.float(), targets))
     densities = _weighted(stiffness, poisson, config, network).mean()
     states = state_loss(output.states.float(), targets.states, clips.interval, clips.valid)
     total = densities + config.states * states
@@ -87,6 +85,12 @@ def compute_losses(
         captured=captured,
         total=total,
     )
+
+
+def skinning_losses(weights: Float[Tensor, "B Q M"], targets: Targets) -> _Scores:
+    """Missed shares of the eigenmodes and of the motion, of each clip."""
+    span = span_loss(weights, targets.modes, targets.volume_weights, targets.importance)
+    return span, captured_energy_loss(weights, targets.displacements, targets.points, targets.volume_weights)
 
 
 def density_losses(

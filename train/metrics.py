@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -25,10 +25,6 @@ class DensityMetrics:
     """Mean width of that interval."""
     constant_mae: float
     """Error of the training median, or of this set's own if none is given."""
-
-    def as_dict(self) -> dict[str, float]:
-        """For JSON."""
-        return asdict(self)
 
 
 def density_metrics(

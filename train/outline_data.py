@@ -7,19 +7,11 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Float32, UInt8
 
 from models import object_coverage
 from train.records import LabelledClip
-from train.segmentation_data import (
-    MaskedClip,
-    SegmentationAugmentation,
-    frame_order,
-    moving_part,
-    new_size,
-    read_masked_clips,
-    resized_masks,
-)
+from train.segmentation_data import MaskedClip, moving_part, read_masked_clips
 
 _RESIZED = 0.5  # share of clips whose rough silhouette is grown or shrunk by a pixel
 _PATCHED = 0.3  # share in which patches of it are filled or emptied in single frames
@@ -27,11 +19,9 @@ _MISTAKEN = 0.3  # share in which one place is filled or emptied in all frames
 
 
 @dataclass(frozen=True)
-class RoughClip:
+class RoughClip(MaskedClip):
     """The part of the picture in which something moves, the true mask, and the coverage that the segmenter finds."""
 
-    frames: UInt8[np.ndarray, "T H W 3"]
-    mask: Bool[np.ndarray, "T H W"]
     rough: UInt8[np.ndarray, "T H W"]
 
     @property
@@ -47,27 +37,12 @@ def read_rough_clips(
     out = []
     for clip in clips:
         (steady,) = read_masked_clips([clip])
-        part = moving_part(steady)
-        part = MaskedClip(np.ascontiguousarray(part.frames), np.ascontiguousarray(part.mask))
+        part = moving_part(steady).each(np.ascontiguousarray)
         rough = (object_coverage(part.frames) * 255 + 0.5).astype(np.uint8)
         out.append(RoughClip(part.frames, part.mask, rough))
         if progress is not None:
             progress(len(out))
     return out
-
-
-def rearranged(clip: RoughClip, options: SegmentationAugmentation, generator: np.random.Generator) -> RoughClip:
-    """Fewer frames, so that less of the background is uncovered; perhaps mirrored; of another size."""
-    order = frame_order(len(clip.frames), options, generator)
-    flip = -1 if generator.random() < 0.5 else 1
-    frames, mask, rough = (a[order, :, ::flip] for a in (clip.frames, clip.mask, clip.rough))
-    height, width = mask.shape[1:]
-    size = new_size(height, width, options, generator)
-    if size != (width, height):
-        method = cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR
-        frames, rough = (np.stack([cv2.resize(x, size, interpolation=method) for x in a]) for a in (frames, rough))
-        mask = resized_masks(mask, size, method)
-    return RoughClip(*(np.ascontiguousarray(a) for a in (frames, mask, rough)))
 
 
 def degraded(clip: RoughClip, generator: np.random.Generator) -> RoughClip:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -12,16 +10,18 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-import physconvex
 from models import ClipEstimate, PreparedClip, freeze_time, shuffle_time
 from physconvex import InputError
-from train.held_out import HeldOut, evaluated_clips, held_out_estimates
+from train.held_out import Evaluated, evaluated_clips, held_out_estimates
 from train.metrics import DensityMetrics, density_metrics
 from train.options import EvaluationOptions
 from train.progress import Report
-from train.records import LabelledClip, dataset_checksum, read_clips
+from train.records import LabelledClip, read_clips
 
-Values = Float64[np.ndarray, " N"]
+Truth = Float64[np.ndarray, "2 N"]
+"""log10 E and ν."""
+Estimated = Float64[np.ndarray, "2 N 3"]
+"""Of both: median, ends of the interval."""
 
 
 @dataclass(frozen=True)
@@ -48,21 +48,15 @@ class Reading:
 class PredictorEvaluation:
     """All frame orders of the same clips, with the single results of the first."""
 
-    checkpoint: str
-    split: str
-    data: dict[str, str]
-    """Manifest checksums."""
+    of: Evaluated
     objects: int
     readings: tuple[Reading, ...]
-    log10_youngs_modulus: Values
-    estimated: Float64[np.ndarray, "N 3"]
-    """log10 E: median, ends of the interval."""
-    poisson_ratio: Values
-    estimated_poisson: Float64[np.ndarray, "N 3"]
+    truth: Truth
+    estimated: Estimated
 
     def table(self) -> str:
         """For people: errors and coverage of each reading, then the decades of the first."""
-        lines = [f"{self.readings[0].poisson_ratio.clips} clips of {self.objects} objects ({self.split})"]
+        lines = [f"{self.readings[0].poisson_ratio.clips} clips of {self.objects} objects ({self.of.split})"]
         lines.append(f"{'':24}{'MAE log10 E':>12}{'MAE nu':>9}{'cover E':>9}{'cover nu':>9}")
         for reading in self.readings:
             lines.append(_row(reading.name, reading.log10_youngs_modulus, reading.poisson_ratio))
@@ -94,36 +88,24 @@ def evaluate_predictor(
     The constant predictor is the median of the training clips of `training_data`, or of `data` unless given; without
     training clips, of those for validation.
     """
-    predictor, clips = evaluated_clips(data, options, out=out, report=report)
+    evaluated, predictor, clips = evaluated_clips(data, options, out=out, report=report)
     training = _not_tested(training_data or data)
-    constants = (
-        float(np.median([np.log10(clip.youngs_modulus) for clip in training])),
-        float(np.median([clip.poisson_ratio for clip in training])),
-    )
+    constants = np.median(_truth(training), axis=1).tolist()
     generator = np.random.default_rng(options.seed)
     ways: dict[str, Callable[[PreparedClip], PreparedClip]] = {
         "frames in order": lambda clip: clip,
         "frames shuffled": partial(shuffle_time, generator=generator),
         "a single frame": freeze_time,
     }
+    truth = _truth(clips.labels)
     readings, tables = [], []
     for name, change in ways.items():
         progress = None if report is None else partial(report, name)
         estimates = list(held_out_estimates(predictor, clips, change=change, report=progress))
         tables.append(_columns(estimates))
-        readings.append(_reading(name, clips, *tables[-1], constants))
-    truth = _truth(clips)
-    return PredictorEvaluation(
-        checkpoint=options.checkpoint,
-        split=options.split,
-        data={str(folder): dataset_checksum(folder) for folder in data},
-        objects=len({clip.record.row["object_id"] for clip in clips.labels}),
-        readings=tuple(readings),
-        log10_youngs_modulus=truth[0],
-        estimated=tables[0][0],
-        poisson_ratio=truth[1],
-        estimated_poisson=tables[0][1],
-    )
+        readings.append(_reading(name, tables[-1], truth, constants))
+    objects = len({clip.record.row["object_id"] for clip in clips.labels})
+    return PredictorEvaluation(evaluated, objects, tuple(readings), truth, tables[0])
 
 
 def _not_tested(data: Sequence[Path | str]) -> list[LabelledClip]:
@@ -139,61 +121,32 @@ def _not_tested(data: Sequence[Path | str]) -> list[LabelledClip]:
     )
 
 
-def _truth(clips: HeldOut) -> tuple[Values, Values]:
-    return (
-        np.log10([clip.youngs_modulus for clip in clips.labels]),
-        np.array([clip.poisson_ratio for clip in clips.labels]),
-    )
+def _truth(clips: Sequence[LabelledClip]) -> Truth:
+    return np.array([(np.log10(clip.youngs_modulus), clip.poisson_ratio) for clip in clips]).T
 
 
-def _columns(estimates: Sequence[ClipEstimate]) -> tuple[Float64[np.ndarray, "N 3"], Float64[np.ndarray, "N 3"]]:
-    """log10 E and ν: median and ends of the interval."""
-    return (
-        np.log10([(e.youngs_modulus, *e.youngs_modulus_interval) for e in estimates]),
-        np.array([(e.poisson_ratio, *e.poisson_ratio_interval) for e in estimates]),
-    )
+def _columns(estimates: Sequence[ClipEstimate]) -> Estimated:
+    modulus = np.log10([(e.youngs_modulus, *e.youngs_modulus_interval) for e in estimates])
+    return np.stack([modulus, [(e.poisson_ratio, *e.poisson_ratio_interval) for e in estimates]])
 
 
-def _reading(
-    name: str,
-    clips: HeldOut,
-    stiffness: Float64[np.ndarray, "N 3"],
-    poisson: Float64[np.ndarray, "N 3"],
-    constants: tuple[float, float],
-) -> Reading:
-    log_e, nu = _truth(clips)
-
+def _reading(name: str, estimated: Estimated, truth: Truth, constants: Sequence[float]) -> Reading:
     def metrics(chosen: np.ndarray) -> tuple[DensityMetrics, DensityMetrics]:
-        return (
-            _metrics(stiffness[chosen], log_e[chosen], constants[0]),
-            _metrics(poisson[chosen], nu[chosen], constants[1]),
+        stiffness, poisson = (
+            density_metrics(*np.column_stack([table, values])[chosen].T, constant=constant)
+            for table, values, constant in zip(estimated, truth, constants, strict=True)
         )
+        return stiffness, poisson
 
-    decades = []
-    for power in range(int(np.floor(log_e.min())), int(np.floor(log_e.max())) + 1):
-        chosen = np.floor(log_e) == power
-        if chosen.any():
-            decades.append(Decade(10.0**power, 10.0 ** (power + 1), *metrics(chosen)))
-    return Reading(name, *metrics(np.full(len(nu), True)), tuple(decades))
-
-
-def _metrics(table: Float64[np.ndarray, "N 3"], truth: Values, constant: float) -> DensityMetrics:
-    return density_metrics(table[:, 0], table[:, 1], table[:, 2], truth, constant=constant)
+    powers = np.floor(truth[0]).astype(int)
+    decades = (Decade(10.0**power, 10.0 ** (power + 1), *metrics(powers == power)) for power in np.unique(powers))
+    return Reading(name, *metrics(np.full(len(powers), True)), tuple(decades))
 
 
 def write_predictor_report(out: Path, result: PredictorEvaluation) -> None:
     """`predictor.json` (with the command) and `predictor.png`."""
-    out.mkdir(parents=True, exist_ok=True)
-    tree = {
-        "command": "physconvex " + " ".join(sys.argv[1:]),
-        "version": physconvex.__version__,
-        "checkpoint": result.checkpoint,
-        "split": result.split,
-        "data": result.data,
-        "objects": result.objects,
-        "readings": [asdict(reading) for reading in result.readings],
-    }
-    (out / "predictor.json").write_text(json.dumps(tree, indent=1) + "\n", encoding="utf-8")
+    readings = [asdict(reading) for reading in result.readings]
+    result.of.write(out / "predictor.json", {"objects": result.objects, "readings": readings})
     _draw(out / "predictor.png", result)
 
 
@@ -202,11 +155,8 @@ def _draw(path: Path, result: PredictorEvaluation) -> None:
 
     figure = Figure(figsize=(12, 4.2), layout="constrained")
     axes = figure.subplots(1, 3)
-    pairs = (
-        (axes[0], result.log10_youngs_modulus, result.estimated, "log10(E / Pa)"),
-        (axes[1], result.poisson_ratio, result.estimated_poisson, "Poisson's ratio"),
-    )
-    for axis, truth, table, name in pairs:
+    names = ("log10(E / Pa)", "Poisson's ratio")
+    for axis, truth, table, name in zip(axes, result.truth, result.estimated, names, strict=False):
         bars = np.abs(table[:, 1:] - table[:, :1]).T
         axis.errorbar(truth, table[:, 0], yerr=bars, fmt="o", ms=3, lw=0.5, alpha=0.5)
         axis.axline((truth.mean(), truth.mean()), slope=1, color="black", lw=1)

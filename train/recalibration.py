@@ -6,23 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
-
-from models import (
-    BinConfig,
-    Calibration,
-    DensityCalibration,
-    PhysicsPredictor,
-    find_checkpoint,
-    fit_density_calibration,
-)
+from models import Calibration, PhysicsPredictor, find_checkpoint
 from physconvex import InputError
 from train.data import TrainingClips
 from train.held_out import held_out
 from train.metrics import DensityMetrics
 from train.progress import Report
 from train.records import dataset_checksum
-from train.validation import validate
+from train.validation import calibration_of, validate
 
 _HEADING = "\n## Calibration\n"
 
@@ -67,28 +58,14 @@ def recalibrate(
         handles = predictor.config.network.skinning.handles
         shown = TrainingClips(clips.labels, clips.prepared, augmentation=None, modes=handles, seed=0)
         parts.append(validate(predictor.network, shown))
-    weights = torch.cat([torch.full_like(part.log10_stiffness, 1 / len(part.log10_stiffness)) for part in parts])
-    network = predictor.config.network
-    calibration = Calibration(
-        stiffness=_fit([(p.stiffness_logits, p.log10_stiffness) for p in parts], network.stiffness, weights),
-        poisson=_fit([(p.poisson_logits, p.poisson_ratio) for p in parts], network.poisson, weights),
-        clips=len(weights),
-    )
-    metrics = [part.metrics(calibration) for part in parts]
+    calibration = calibration_of(parts)
     result = Recalibration(
-        calibration, tuple(map(str, data)), tuple(m[0] for m in metrics), tuple(m[1] for m in metrics)
+        calibration, tuple(map(str, data)), *zip(*(part.metrics(calibration) for part in parts), strict=True)
     )
     config = predictor.config.model_copy(update={"calibration": calibration})
     card = (source / "model_card.md").read_text(encoding="utf-8").partition(_HEADING)[0]
     PhysicsPredictor(predictor.network, config).save_pretrained(out, model_card=card + _section(result, data))
     return result
-
-
-def _fit(
-    parts: Sequence[tuple[torch.Tensor, torch.Tensor]], bins: BinConfig, weights: torch.Tensor
-) -> DensityCalibration:
-    logits, values = (torch.cat(column) for column in zip(*parts, strict=True))
-    return fit_density_calibration(logits, values, bins, weights=weights)
 
 
 def _section(result: Recalibration, data: Sequence[Path | str]) -> str:

@@ -43,36 +43,26 @@ class LabelledClip:
 
     dataset: Path
     record: ClipRecord
+    fps: float
+    """[1/s]"""
+    youngs_modulus: float
+    """[Pa]"""
+    poisson_ratio: float
+    density: float
+    """[kg/m³]"""
+    object_size: float
+    """Largest edge of the rest bounding box [m]."""
+
+    @classmethod
+    def of(cls, dataset: Path, record: ClipRecord) -> LabelledClip:
+        """With the labels in its row of the index."""
+        names = ("fps", "youngs_modulus", "poisson_ratio", "density", "object_size")
+        return cls(dataset, record, *(float(record.row[name]) for name in names))
 
     @property
     def name(self) -> str:
         """Unique within its data set."""
         return self.record.clip_id
-
-    @property
-    def fps(self) -> float:
-        """[1/s]"""
-        return float(self.record.row["fps"])
-
-    @property
-    def youngs_modulus(self) -> float:
-        """[Pa]"""
-        return float(self.record.row["youngs_modulus"])
-
-    @property
-    def poisson_ratio(self) -> float:
-        """[1]"""
-        return float(self.record.row["poisson_ratio"])
-
-    @property
-    def density(self) -> float:
-        """[kg/m³]"""
-        return float(self.record.row["density"])
-
-    @property
-    def object_size(self) -> float:
-        """Largest edge of the rest bounding box [m]."""
-        return float(self.record.row["object_size"])
 
     @cached_property
     def samples(self) -> ClipSamples:
@@ -98,9 +88,8 @@ def read_clips(datasets: Sequence[Path | str], split: Split | None = None) -> li
     Raises:
         InputError: a folder is no data set, or no clip is in the split.
     """
-    clips = [
-        LabelledClip(Path(folder), record) for folder in datasets for record in Dataset.open(folder, split=split).clips
-    ]
+    pairs = [(Path(folder), record) for folder in datasets for record in Dataset.open(folder, split=split).clips]
+    clips = [LabelledClip.of(*pair) for pair in pairs]
     if not clips:
         raise InputError(
             f"data: {', '.join(map(str, datasets))} hold no clip of the split {split!r}; generate more objects"

@@ -1,6 +1,6 @@
 """The whole state of a run in one safetensors file, written atomically.
 
-All random draws are functions of seed and step (`train.epoch_plan`, `train.data`, `train.loop`), so that the step
+All random draws are functions of seed and step (`train.data`, `train.loop`), so that the step
 number is the state of every generator and of the sampler.
 """
 
@@ -35,27 +35,6 @@ class TrainingProgress:
     """Of configuration and data."""
 
 
-def save_training_state(
-    path: Path, *, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer, progress: TrainingProgress
-) -> None:
-    """Write network, moving average and optimiser; a kill at any moment leaves the old file or the new one."""
-    tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
-    tensors |= {f"average.{name}": value for name, value in average.state_dict().items()}
-    for index, entry in optimizer.state_dict()["state"].items():
-        for name, value in entry.items():
-            tensors[f"optimizer.{index}.{name}"] = torch.as_tensor(value)
-    content = save(
-        {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()},
-        metadata={"format": _FORMAT, "progress": json.dumps(asdict(progress))},
-    )
-    part = path.with_suffix(".part")
-    with part.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(part, path)
-
-
 def read_progress(path: Path) -> TrainingProgress:
     """The state of the run in this file.
 
@@ -82,21 +61,52 @@ def refuse_other_run(path: Path, fingerprint: str) -> None:
         )
 
 
-def load_training_state(
-    path: Path, *, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer
-) -> TrainingProgress:
-    """Restore a state of `save_training_state`."""
-    progress = read_progress(path)
-    groups: dict[str, dict[str, Tensor]] = {"network": {}, "average": {}, "optimizer": {}}
-    with safe_open(path, framework="pt") as file:
-        for key in file.keys():
-            group, name = key.split(".", 1)
-            groups[group][name] = file.get_tensor(key)
-    network.load_state_dict(groups["network"])
-    average.load_state_dict(groups["average"])
-    state: dict[int, dict[str, Tensor]] = {}
-    for key, value in groups["optimizer"].items():
-        index, name = key.split(".", 1)
-        state.setdefault(int(index), {})[name] = value
-    optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
-    return progress
+@dataclass(frozen=True, eq=False)
+class TrainingState:
+    """Everything that a run goes on from, and its file."""
+
+    path: Path
+    network: nn.Module
+    average: nn.Module
+    optimizer: torch.optim.Optimizer
+
+    def save(self, progress: TrainingProgress) -> None:
+        """Write network, moving average and optimiser; a kill at any moment leaves the old file or the new one."""
+        tensors = {f"network.{name}": value for name, value in self.network.state_dict().items()}
+        tensors |= {f"average.{name}": value for name, value in self.average.state_dict().items()}
+        for index, entry in self.optimizer.state_dict()["state"].items():
+            for name, value in entry.items():
+                tensors[f"optimizer.{index}.{name}"] = torch.as_tensor(value)
+        content = save(
+            {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()},
+            metadata={"format": _FORMAT, "progress": json.dumps(asdict(progress))},
+        )
+        part = self.path.with_suffix(".part")
+        with part.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, self.path)
+
+    def load(self, fingerprint: str, *, resume: bool) -> TrainingProgress:
+        """Restore the file if there is one and it is wanted; a new run's progress otherwise.
+
+        Raises:
+            InputError: it belongs to another run, or is not a training state.
+        """
+        if not (resume and self.path.is_file()):
+            return TrainingProgress(fingerprint=fingerprint)
+        refuse_other_run(self.path, fingerprint)
+        groups: dict[str, dict[str, Tensor]] = {"network": {}, "average": {}, "optimizer": {}}
+        with safe_open(self.path, framework="pt") as file:
+            for key in file.keys():
+                group, name = key.split(".", 1)
+                groups[group][name] = file.get_tensor(key)
+        self.network.load_state_dict(groups["network"])
+        self.average.load_state_dict(groups["average"])
+        state: dict[int, dict[str, Tensor]] = {}
+        for key, value in groups["optimizer"].items():
+            index, name = key.split(".", 1)
+            state.setdefault(int(index), {})[name] = value
+        self.optimizer.load_state_dict({"state": state, "param_groups": self.optimizer.state_dict()["param_groups"]})
+        return read_progress(self.path)

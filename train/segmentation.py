@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-import physconvex
 from models import (
     SegmenterConfig,
     SilhouetteSegmenter,
@@ -21,12 +20,34 @@ from models import (
     load_segmenter,
     object_coverage,
     pad_pictures,
-    save_network,
 )
-from train.finder_loop import FinderRecipe, overlap_of_frames, train_finder_network
+from train.finder_loop import FinderRecipe, FinderResult, overlap_of_frames, train_finder
 from train.progress import Report
-from train.records import Split, data_listing, read_clips
+from train.records import LabelledClip
 from train.segmentation_data import MaskedClip, augmented, moving_part, read_masked_clips
+
+_CARD = """# physconvex segmenter
+
+Says which pixels of each frame show the one object that moves before a camera that stands still.
+
+## Training data
+
+True masks of {train} rendered clips, recoloured, cut and thinned at random, from
+
+{data}
+
+{recipe.steps} steps of {recipe.batch} clips, seed {recipe.seed}, {begun}.
+
+## Validation
+
+Mean intersection over union with the true masks of {validation} clips of objects that are not in the training data:
+{intersection_over_union:.3f}.
+
+## Limits
+
+One object; a camera that stands still but for slight shake. What never moves is background. Real videos are not in the
+training data.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,61 +61,37 @@ class SegmentationConfig(FinderRecipe):
     network: SegmenterConfig = field(default_factory=SegmenterConfig)
 
 
-@dataclass(frozen=True)
-class SegmentationResult:
-    """How a training ended."""
-
-    losses: tuple[float, ...]
-    """Of every step."""
-    overlap: float
-    """Mean intersection over union on validation clips (0..1)."""
-
-
 def train_segmenter(
     config: SegmentationConfig, data: Sequence[Path | str], out: Path | str, *, report: Report | None = None
-) -> SegmentationResult:
-    """Train on the true masks of the `train` split, measure on `validation`, write a checkpoint into `out`.
-
-    Random numbers depend only on the seed. `report` is called with a name of the work, the number done, the total.
-
-    Raises:
-        InputError: a folder is no data set, or has no clip in one of the two splits.
-    """
-    say: Report = report or (lambda name, done, total: None)
-    training, validation = _read(data, "train", say), _read(data, "validation", say)
-    network, losses = _train(config, training, say)
-    overlap = mean_overlap(network, validation)
-    stored = config.network.model_copy(
-        update={"version": physconvex.__version__, "metrics": {"intersection_over_union": overlap}}
-    )
-    counts = (len(training), len(validation))
-    save_network(out, network, stored, model_card=_model_card(config, data, counts, overlap))
-    return SegmentationResult(losses=tuple(losses), overlap=overlap)
+) -> FinderResult:
+    """Train on the true masks of data sets, see `train.finder_loop.train_finder`."""
+    return train_finder(_Segmentation(config), config, data, out, _CARD, report=report)
 
 
-def _read(data: Sequence[Path | str], split: Split, say: Report) -> list[MaskedClip]:
-    listed = read_clips(data, split)
-    return read_masked_clips(listed, progress=lambda done: say(f"reading {split} clips", done, len(listed)))
+@dataclass(frozen=True)
+class _Segmentation:
+    config: SegmentationConfig
 
+    def read(self, clips: Sequence[LabelledClip], progress: Callable[[int], None]) -> list[MaskedClip]:
+        return read_masked_clips(clips, progress=progress)
 
-def _train(
-    config: SegmentationConfig, clips: Sequence[MaskedClip], say: Report
-) -> tuple[SilhouetteSegmenter, list[float]]:
-    def build() -> SilhouetteSegmenter:
-        return SilhouetteSegmenter(config.network) if config.start is None else load_segmenter(config.start).train()
+    def network(self) -> SilhouetteSegmenter:
+        start = self.config.start
+        return SilhouetteSegmenter(self.config.network) if start is None else load_segmenter(start).train()
 
-    def losses(network: SilhouetteSegmenter, generator: np.random.Generator) -> Iterator[Tensor]:
-        for index in generator.integers(0, len(clips), config.batch):
-            yield _clip_loss(network, augmented(clips[index], config.augmentation, generator))
+    def loss(self, network: SilhouetteSegmenter, clip: MaskedClip, generator: np.random.Generator) -> Tensor:
+        clip = augmented(clip, self.config.augmentation, generator)
+        height, width = clip.mask.shape[1:]
+        padded = pad_pictures(clip.frames)
+        logits = network(block_pixels(padded), block_pixels(clip_references(padded)))[:, :height, :width]
+        return segmentation_loss(logits, torch.from_numpy(clip.mask))
 
-    return train_finder_network(config, build, losses, say)
-
-
-def _clip_loss(network: SilhouetteSegmenter, clip: MaskedClip) -> Tensor:
-    height, width = clip.mask.shape[1:]
-    padded = pad_pictures(clip.frames)
-    logits = network(block_pixels(padded), block_pixels(clip_references(padded)))[:, :height, :width]
-    return segmentation_loss(logits, torch.from_numpy(clip.mask))
+    def metrics(self, network: SilhouetteSegmenter, clips: Sequence[MaskedClip]) -> dict[str, float]:
+        """Intersection over union in the moving part of each clip, mean over frames in which the object is seen."""
+        values = []
+        for part in map(moving_part, clips):
+            values.append(overlap_of_frames(object_coverage(part.frames, segmenter=network) > 0.5, part.mask))
+        return {"intersection_over_union": float(np.mean(values))}
 
 
 def segmentation_loss(logits: Float[Tensor, "T H W"], truth: Bool[Tensor, "T H W"]) -> Tensor:
@@ -105,38 +102,3 @@ def segmentation_loss(logits: Float[Tensor, "T H W"], truth: Bool[Tensor, "T H W
     shared = (probability * target).sum(dim=(1, 2))
     dice = (2 * shared + 1) / (probability.sum(dim=(1, 2)) + target.sum(dim=(1, 2)) + 1)
     return 3 * entropy + 1 - dice.mean()
-
-
-def mean_overlap(network: SilhouetteSegmenter, clips: Sequence[MaskedClip]) -> float:
-    """Intersection over union in the moving part of each clip, mean over frames in which the object is seen."""
-    values = []
-    for clip in clips:
-        part = moving_part(clip)
-        values.append(overlap_of_frames(object_coverage(part.frames, segmenter=network) > 0.5, part.mask))
-    return float(np.mean(values))
-
-
-def _model_card(config: SegmentationConfig, data: Sequence[Path | str], counts: tuple[int, int], overlap: float) -> str:
-    begun = "from random weights" if config.start is None else "from the weights of an earlier training"
-    return f"""# physconvex segmenter
-
-Says which pixels of each frame show the one object that moves before a camera that stands still.
-
-## Training data
-
-True masks of {counts[0]} rendered clips, recoloured, cut and thinned at random, from
-
-{data_listing(data)}
-
-{config.steps} steps of {config.batch} clips, seed {config.seed}, {begun}.
-
-## Validation
-
-Mean intersection over union with the true masks of {counts[1]} clips of objects that are not in the training data:
-{overlap:.3f}.
-
-## Limits
-
-One object; a camera that stands still but for slight shake. What never moves is background. Real videos are not in the
-training data.
-"""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self, TypeVar
 
 import cv2
 import numpy as np
@@ -19,6 +20,13 @@ class MaskedClip:
 
     frames: UInt8[np.ndarray, "T H W 3"]
     mask: Bool[np.ndarray, "T H W"]
+
+    def each(self, change: Callable[[np.ndarray], np.ndarray]) -> Self:
+        """All its arrays changed alike."""
+        return replace(self, **{name: change(value) for name, value in vars(self).items()})
+
+
+Clip = TypeVar("Clip", bound=MaskedClip)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,30 +64,31 @@ def read_masked_clips(
 def moving_part(clip: MaskedClip, *, margin: int = 8) -> MaskedClip:
     """The part of the picture that moves; all of it if that is undetermined."""
     window = moving_window(clip.frames, margin=margin)
-    if window is None:
-        return clip
-    return MaskedClip(clip.frames[:, *window], clip.mask[:, *window])
+    return clip if window is None else clip.each(lambda array: array[:, *window])
 
 
 def augmented(clip: MaskedClip, options: SegmentationAugmentation, generator: np.random.Generator) -> MaskedClip:
     """Fewer frames, perhaps mirrored, with other colours and size, and noise."""
-    order = frame_order(len(clip.frames), options, generator)
-    clip = MaskedClip(clip.frames[order], clip.mask[order])
-    if generator.random() < 0.5:
-        clip = MaskedClip(clip.frames[:, :, ::-1], clip.mask[:, :, ::-1])
-    clip = MaskedClip(np.ascontiguousarray(clip.frames), np.ascontiguousarray(clip.mask))
-    clip = _resized(moving_part(clip, margin=int(generator.integers(4, 17))), options, generator)
+    clip = rearranged(clip, options, generator)
+    clip = resized(moving_part(clip, margin=int(generator.integers(4, 17))), options, generator)
     return recoloured(clip, options, generator)
 
 
-def recoloured(clip: MaskedClip, options: SegmentationAugmentation, generator: np.random.Generator) -> MaskedClip:
+def rearranged(clip: Clip, options: SegmentationAugmentation, generator: np.random.Generator) -> Clip:
+    """Fewer frames, so that less of the background is uncovered; perhaps mirrored."""
+    order = frame_order(len(clip.frames), options, generator)
+    flip = -1 if generator.random() < 0.5 else 1
+    return clip.each(lambda array: np.ascontiguousarray(array[order, :, ::flip]))
+
+
+def recoloured(clip: Clip, options: SegmentationAugmentation, generator: np.random.Generator) -> Clip:
     """The clip in other colours, or its own, with noise."""
     frames = clip.frames.astype(np.float32)
     if generator.random() < options.recoloured:
         frames = _recoloured(frames, clip.mask, generator, apart=generator.random() < options.apart)
     sigma = options.noise * generator.random() ** 2
     frames += np.float32(sigma) * generator.standard_normal(frames.shape, dtype=np.float32)
-    return MaskedClip(np.clip(frames + 0.5, 0, 255).astype(np.uint8), clip.mask)
+    return replace(clip, frames=np.clip(frames + 0.5, 0, 255).astype(np.uint8))
 
 
 def frame_order(
@@ -97,28 +106,21 @@ def frame_order(
     return order
 
 
-def new_size(
-    height: int, width: int, options: SegmentationAugmentation, generator: np.random.Generator
-) -> tuple[int, int]:
-    """Width and height [px] of the frames shown; often the old ones."""
+def resized(clip: Clip, options: SegmentationAugmentation, generator: np.random.Generator) -> Clip:
+    """Of another size, at most `options.largest_side`; often of the old one. Masks are cut at one half."""
+    height, width = clip.mask.shape[1:]
     scale = min(float(np.exp(generator.uniform(*np.log(options.zoom)))), options.largest_side / max(height, width))
     size = (max(16, round(width * scale)), max(16, round(height * scale)))
-    return (width, height) if generator.random() < 0.3 else size
-
-
-def _resized(clip: MaskedClip, options: SegmentationAugmentation, generator: np.random.Generator) -> MaskedClip:
-    height, width = clip.mask.shape[1:]
-    size = new_size(height, width, options, generator)
-    if size == (width, height):
+    if generator.random() < 0.3 or size == (width, height):
         return clip
     method = cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR
-    frames = np.stack([cv2.resize(frame, size, interpolation=method) for frame in clip.frames])
-    return MaskedClip(frames, resized_masks(clip.mask, size, method))
 
+    def scaled(array: np.ndarray) -> np.ndarray:
+        if array.dtype == bool:
+            return scaled(array * np.uint8(255)) > 127
+        return np.stack([cv2.resize(frame, size, interpolation=method) for frame in array])
 
-def resized_masks(masks: Bool[np.ndarray, "T H W"], size: tuple[int, int], method: int) -> Bool[np.ndarray, "T h w"]:
-    """Where masks scaled to `size` (width, height) by a method of OpenCV are above one half."""
-    return np.stack([cv2.resize(mask * np.uint8(255), size, interpolation=method) > 127 for mask in masks])
+    return clip.each(scaled)
 
 
 def _recoloured(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -13,12 +11,11 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64
 
-import physconvex
 from models import captured_energy, random_basis
-from train.held_out import evaluated_clips, held_out_estimates
+from train.held_out import Evaluated, evaluated_clips, held_out_estimates
 from train.options import EvaluationOptions
 from train.progress import Report
-from train.records import ClipSamples, dataset_checksum
+from train.records import ClipSamples
 
 BASES = ("predicted", "eigenmodes", "random")
 
@@ -27,9 +24,7 @@ BASES = ("predicted", "eigenmodes", "random")
 class SkinningEvaluation:
     """Captured shares (0..1) per clip; columns: predicted, eigenmodes, random basis of as many handles."""
 
-    checkpoint: str
-    split: str
-    data: dict[str, str]
+    of: Evaluated
     handles: int
     of_all: Float64[np.ndarray, "N 3"]
     """Of the whole displacement."""
@@ -38,7 +33,7 @@ class SkinningEvaluation:
 
     def table(self) -> str:
         """For people."""
-        lines = [f"{len(self.of_all)} clips ({self.split}), {self.handles} handles and the constant mode"]
+        lines = [f"{len(self.of_all)} clips ({self.of.split}), {self.handles} handles and the constant mode"]
         lines.append(f"{'':14}{'of all motion':>16}{'beyond affine':>16}{'its worst tenth':>18}")
         for k, name in enumerate(BASES):
             share = self.beyond_affine[:, k]
@@ -56,7 +51,7 @@ def evaluate_skinning(
     report: Report | None = None,
 ) -> SkinningEvaluation:
     """Fit the FEM motion of every clip's sample points with three bases of as many handles."""
-    predictor, clips = evaluated_clips(data, options, out=out, report=report)
+    evaluated, predictor, clips = evaluated_clips(data, options, out=out, report=report)
     handles, generator = predictor.config.network.skinning.handles, np.random.default_rng(options.seed)
     of_all, beyond = [], []
     progress = None if report is None else partial(report, "fitting motion")
@@ -69,14 +64,7 @@ def evaluate_skinning(
         )
         of_all.append([_share(samples, weights, "nothing") for weights in bases])
         beyond.append([_share(samples, weights, "affine") for weights in bases])
-    return SkinningEvaluation(
-        checkpoint=options.checkpoint,
-        split=options.split,
-        data={str(folder): dataset_checksum(folder) for folder in data},
-        handles=handles,
-        of_all=np.array(of_all),
-        beyond_affine=np.array(beyond),
-    )
+    return SkinningEvaluation(evaluated, handles, np.array(of_all), np.array(beyond))
 
 
 def _share(samples: ClipSamples, weights: np.ndarray, after: Literal["nothing", "affine"]) -> float:
@@ -96,20 +84,14 @@ def write_skinning_report(out: Path, result: SkinningEvaluation) -> None:
     def by_basis(shares: np.ndarray) -> dict[str, float]:
         return dict(zip(BASES, shares.tolist(), strict=True))
 
-    out.mkdir(parents=True, exist_ok=True)
-    tree = {
-        "command": "physconvex " + " ".join(sys.argv[1:]),
-        "version": physconvex.__version__,
-        "checkpoint": result.checkpoint,
-        "split": result.split,
-        "data": result.data,
+    content = {
         "clips": len(result.of_all),
         "handles": result.handles,
         "captured_share_mean": by_basis(result.of_all.mean(axis=0)),
         "captured_share_beyond_affine_mean": by_basis(result.beyond_affine.mean(axis=0)),
         "captured_share_beyond_affine_median": by_basis(np.median(result.beyond_affine, axis=0)),
     }
-    (out / "skinning.json").write_text(json.dumps(tree, indent=1) + "\n", encoding="utf-8")
+    result.of.write(out / "skinning.json", content)
     figure = Figure(figsize=(6, 4), layout="constrained")
     axis = figure.subplots()
     rank = (np.arange(len(result.of_all)) + 0.5) / len(result.of_all)

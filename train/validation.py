@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,58 +17,72 @@ from models import (
     DensityCalibration,
     PhysicsNetwork,
     answer_both_ways,
-    captured_energy_loss,
     fit_density_calibration,
-    span_loss,
 )
 from train.data import Item, TrainingClips, collate
+from train.losses import skinning_losses
 from train.metrics import DensityMetrics, density_metrics
 
 
 @dataclass(frozen=True, eq=False)
-class Validation:
-    """Logits and truth of every clip, and the part that the skinning weights miss (means)."""
+class Answers:
+    """What the network says of one quantity of every clip, and its true value."""
 
-    stiffness_logits: Float[Tensor, "N K"]
-    poisson_logits: Float[Tensor, "N J"]
-    log10_stiffness: Float[Tensor, " N"]
-    poisson_ratio: Float[Tensor, " N"]
+    logits: Float[Tensor, "N K"]
+    values: Float[Tensor, " N"]
+    bins: BinConfig
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """Answers on every clip, and the part that the skinning weights miss (means)."""
+
+    stiffness: Answers
+    """Of log10(E/(ρ g L))."""
+    poisson: Answers
     states: float
     """Error of the states, in typical magnitudes."""
     span: float
     captured: float
-    stiffness_bins: BinConfig
-    poisson_bins: BinConfig
 
     def score(self) -> float:
         """Score that the best checkpoint minimises: CRPS of both relative to no knowledge, and the missed span."""
         plain = DensityCalibration()
         total = 0.0
-        for logits, values, bins in self._parts():
-            crps = plain.density(logits, bins).crps(values).mean()
-            total += float(crps) / (float(values.std(correction=0)) + 1e-6)
+        for part in (self.stiffness, self.poisson):
+            crps = plain.density(part.logits, part.bins).crps(part.values).mean()
+            total += float(crps) / (float(part.values.std(correction=0)) + 1e-6)
         return total + 0.3 * self.span + 0.3 * self.captured
 
     def calibration(self) -> Calibration:
         """Fitted to these clips."""
-        fits = [fit_density_calibration(*part) for part in self._parts()]
-        return Calibration(stiffness=fits[0], poisson=fits[1], clips=len(self.poisson_ratio))
+        return calibration_of([self])
 
     def metrics(self, calibration: Calibration) -> tuple[DensityMetrics, DensityMetrics]:
         """Of log10(E/(ρ g L)) and of ν, calibrated."""
-        results = []
-        for part, fit in zip(self._parts(), (calibration.stiffness, calibration.poisson), strict=True):
-            logits, values, bins = part
-            density = fit.density(logits, bins)
-            columns = (density.quantile(0.5), *fit.interval(density), values)
-            results.append(density_metrics(*(np.asarray(column, np.float64) for column in columns)))
-        return results[0], results[1]
+        return _metrics(self.stiffness, calibration.stiffness), _metrics(self.poisson, calibration.poisson)
 
-    def _parts(self) -> list[tuple[Tensor, Tensor, BinConfig]]:
-        return [
-            (self.stiffness_logits, self.log10_stiffness, self.stiffness_bins),
-            (self.poisson_logits, self.poisson_ratio, self.poisson_bins),
-        ]
+
+def calibration_of(parts: Sequence[Validation]) -> Calibration:
+    """Fitted to the clips of some sets, each of which has the same weight, regardless of its size."""
+    counts = [len(part.poisson.values) for part in parts]
+    weights = torch.cat([torch.full((count,), 1 / count) for count in counts])
+
+    def fit(answers: Sequence[Answers]) -> DensityCalibration:
+        logits, values = (torch.cat([getattr(one, name) for one in answers]) for name in ("logits", "values"))
+        return fit_density_calibration(logits, values, answers[0].bins, weights=weights)
+
+    return Calibration(
+        stiffness=fit([part.stiffness for part in parts]),
+        poisson=fit([part.poisson for part in parts]),
+        clips=sum(counts),
+    )
+
+
+def _metrics(part: Answers, fit: DensityCalibration) -> DensityMetrics:
+    density = fit.density(part.logits, part.bins)
+    columns = (density.quantile(0.5), *fit.interval(density), part.values)
+    return density_metrics(*(np.asarray(column, np.float64) for column in columns))
 
 
 @torch.no_grad()
@@ -82,7 +97,6 @@ def validate(network: PhysicsNetwork, clips: TrainingClips, *, batch_size: int =
         targets = batch.targets.to(device)
         output = answer_both_ways(network, batch.clips.to(device), targets.points)
         assert output.weights is not None
-        weights = output.weights.float()
         columns.append(
             (
                 output.stiffness_logits.float().cpu(),
@@ -90,21 +104,16 @@ def validate(network: PhysicsNetwork, clips: TrainingClips, *, batch_size: int =
                 ((output.states.float() - targets.states) / STATE_SCALE.to(device)).abs().mean(dim=(1, 2)).cpu(),
                 batch.targets.log10_stiffness,
                 batch.targets.poisson_ratio,
-                span_loss(weights, targets.modes, targets.volume_weights, targets.importance).cpu(),
-                captured_energy_loss(weights, targets.displacements, targets.points, targets.volume_weights).cpu(),
+                *(part.cpu() for part in skinning_losses(output.weights.float(), targets)),
             )
         )
     stiffness, poisson, states, log10_stiffness, poisson_ratio, span, captured = (
         torch.cat(column) for column in zip(*columns, strict=True)
     )
     return Validation(
-        stiffness_logits=stiffness,
-        poisson_logits=poisson,
-        log10_stiffness=log10_stiffness,
-        poisson_ratio=poisson_ratio,
+        Answers(stiffness, log10_stiffness, network.config.stiffness),
+        Answers(poisson, poisson_ratio, network.config.poisson),
         states=float(states.mean()),
         span=float(span.mean()),
         captured=float(captured.mean()),
-        stiffness_bins=network.config.stiffness,
-        poisson_bins=network.config.poisson,
     )

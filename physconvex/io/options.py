@@ -34,6 +34,7 @@ class CommandLine:
         parse: of a field that is a mapping: from NAME=VALUE, which may be given several times, to name and value.
         commas: the values of a tuple stand in one option, separated by commas.
         hidden: the field is set from Python alone.
+        bounded: `--help` shows the field's smallest value, and the command line is refused below it.
     """
 
     flag: str | None = None
@@ -41,6 +42,7 @@ class CommandLine:
     parse: Callable[[str], tuple[str, Any]] | None = None
     commas: bool = False
     hidden: bool = False
+    bounded: bool = False
 
 
 class Options(BaseModel):
@@ -164,7 +166,9 @@ def _value(info: FieldInfo, given: Any) -> object:
 def _parameter(name: str, info: FieldInfo) -> inspect.Parameter:
     look, default = _command_line(info), info.get_default(call_default_factory=True)
     kind, repeated = (str | None, True) if look.commas else _kind(info.annotation)
-    option = typer.Option(*([look.flag] if look.flag else []), help=info.description, rich_help_panel=look.panel)
+    least = next((entry.ge for entry in info.metadata if look.bounded and hasattr(entry, "ge")), None)
+    flags = [look.flag] if look.flag else []
+    option = typer.Option(*flags, help=info.description, rich_help_panel=look.panel, min=least)
     return inspect.Parameter(
         name,
         inspect.Parameter.KEYWORD_ONLY,

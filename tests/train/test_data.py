@@ -11,8 +11,7 @@ from physconvex import InputError
 from physconvex.io import look_at
 from train import TrainConfig, TrainingClips, load_train_config, prepare_clips, read_clips, smoothed_target
 from train.cache import PreparedClips
-from train.data import Item, batches, collate
-from train.epoch_plan import Plan
+from train.data import Item, Plan, batches, collate
 from train.metrics import density_metrics
 from train.records import camera_aligned_axes
 

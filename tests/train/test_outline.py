@@ -5,34 +5,35 @@ import pytest
 import torch
 
 from models import OutlineConfig, load_outline
-from train.outline import OutlineResult, OutlineTraining, outline_loss, train_outline
-from train.outline_data import RoughClip, degraded, rearranged
-from train.segmentation_data import SegmentationAugmentation
+from train.finder_loop import FinderResult
+from train.outline import OutlineTraining, outline_loss, train_outline
+from train.outline_data import RoughClip, degraded
+from train.segmentation_data import SegmentationAugmentation, rearranged, resized
 
 CONFIG = OutlineTraining(steps=40, batch=2, average=0.5, network=OutlineConfig(channels=(8, 8, 8)))
 
 
 @pytest.fixture(scope="module")
-def trained(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[OutlineResult, Path]:
+def trained(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[FinderResult, Path]:
     out = tmp_path_factory.mktemp("outline")
     return train_outline(CONFIG, [tiny_data], out), out
 
 
-def test_training_lowers_the_loss(trained: tuple[OutlineResult, Path]) -> None:
+def test_training_lowers_the_loss(trained: tuple[FinderResult, Path]) -> None:
     losses = trained[0].losses
     assert len(losses) == CONFIG.steps
     assert np.mean(losses[-10:]) < 0.8 * np.mean(losses[:10])
 
 
-def test_checkpoint_says_what_it_was_measured(trained: tuple[OutlineResult, Path]) -> None:
+def test_checkpoint_says_what_it_was_measured(trained: tuple[FinderResult, Path]) -> None:
     result, out = trained
     metrics = load_outline(out).config.metrics
-    assert metrics == {"intersection_over_union": result.overlap, "before": result.rough_overlap}
+    assert metrics == result.metrics and metrics.keys() == {"intersection_over_union", "before"}
     card = (out / "model_card.md").read_text(encoding="utf-8")
-    assert f"{result.overlap:.3f}" in card and "SHA-256" in card
+    assert f"{metrics['intersection_over_union']:.3f}" in card and "SHA-256" in card
 
 
-def test_same_seed_gives_the_same_losses(trained: tuple[OutlineResult, Path], tiny_data: Path, tmp_path: Path) -> None:
+def test_same_seed_gives_the_same_losses(trained: tuple[FinderResult, Path], tiny_data: Path, tmp_path: Path) -> None:
     assert train_outline(CONFIG, [tiny_data], tmp_path).losses == trained[0].losses
 
 
@@ -67,7 +68,8 @@ def test_degraded_clips_keep_frames_and_truth() -> None:
 def test_rearranged_clips_keep_frames_truth_and_rough_silhouette_together() -> None:
     sizes = set()
     for seed in range(12):
-        clip = rearranged(_square(), SegmentationAugmentation(lengths=(4, 6)), np.random.default_rng(seed))
+        options, generator = SegmentationAugmentation(lengths=(4, 6)), np.random.default_rng(seed)
+        clip = resized(rearranged(_square(), options, generator), options, generator)
         assert clip.frames.shape[:3] == clip.mask.shape == clip.rough.shape and len(clip.mask) in (4, 6)
         assert ((clip.frames[..., 0] > 127) == clip.mask).all()
         assert ((clip.rough > 127) == clip.mask).all()

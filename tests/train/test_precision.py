@@ -5,13 +5,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from train import precision
-from train.precision import precision_for
+from train import optimisation
+from train.optimisation import precision_for
 
 
 @pytest.mark.parametrize(("known", "expected"), [(True, "bf16"), (False, "no")])
 def test_a_processor_that_would_emulate_bf16_computes_in_float32(monkeypatch, recwarn, known, expected):
-    monkeypatch.setattr(precision, "_processor_knows_bf16", lambda: known)
+    monkeypatch.setattr(optimisation, "_processor_knows_bf16", lambda: known)
     if known:
         assert precision_for("bf16", cpu=True) == "bf16"
     else:
@@ -21,7 +21,7 @@ def test_a_processor_that_would_emulate_bf16_computes_in_float32(monkeypatch, re
 
 
 def test_an_accelerator_computes_in_bf16(monkeypatch):
-    monkeypatch.setattr(precision, "_processor_knows_bf16", lambda: False)
+    monkeypatch.setattr(optimisation, "_processor_knows_bf16", lambda: False)
     monkeypatch.setattr(torch.accelerator, "is_available", lambda: True)
     assert precision_for("bf16", cpu=False) == "bf16"
 
@@ -30,4 +30,4 @@ def test_an_accelerator_computes_in_bf16(monkeypatch):
 def test_the_processor_is_asked():
     flags = Path("/proc/cpuinfo").read_text().split()
     if "avx2" in flags:
-        assert precision._processor_knows_bf16() == ("avx512_bf16" in flags or "amx_bf16" in flags)
+        assert optimisation._processor_knows_bf16() == ("avx512_bf16" in flags or "amx_bf16" in flags)

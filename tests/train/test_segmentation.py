@@ -6,7 +6,8 @@ import torch
 
 from models import SegmenterConfig, load_segmenter
 from physconvex import InputError
-from train.segmentation import SegmentationConfig, SegmentationResult, segmentation_loss, train_segmenter
+from train.finder_loop import FinderResult
+from train.segmentation import SegmentationConfig, segmentation_loss, train_segmenter
 from train.segmentation_data import MaskedClip, SegmentationAugmentation, augmented
 
 CONFIG = SegmentationConfig(
@@ -20,28 +21,27 @@ CONFIG = SegmentationConfig(
 
 
 @pytest.fixture(scope="module")
-def trained(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[SegmentationResult, Path]:
+def trained(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[FinderResult, Path]:
     out = tmp_path_factory.mktemp("segmenter")
     return train_segmenter(CONFIG, [tiny_data], out), out
 
 
-def test_training_lowers_the_loss(trained: tuple[SegmentationResult, Path]) -> None:
+def test_training_lowers_the_loss(trained: tuple[FinderResult, Path]) -> None:
     losses = trained[0].losses
     assert len(losses) == CONFIG.steps
     assert np.mean(losses[-10:]) < 0.8 * np.mean(losses[:10])
 
 
-def test_checkpoint_says_what_it_was_measured(trained: tuple[SegmentationResult, Path]) -> None:
+def test_checkpoint_says_what_it_was_measured(trained: tuple[FinderResult, Path]) -> None:
     result, out = trained
-    assert 0 <= result.overlap <= 1
-    assert load_segmenter(out).config.metrics == {"intersection_over_union": result.overlap}
+    overlap = result.metrics["intersection_over_union"]
+    assert 0 <= overlap <= 1
+    assert load_segmenter(out).config.metrics == result.metrics == {"intersection_over_union": overlap}
     card = (out / "model_card.md").read_text(encoding="utf-8")
-    assert f"{result.overlap:.3f}" in card and "SHA-256" in card
+    assert f"{overlap:.3f}" in card and "SHA-256" in card
 
 
-def test_same_seed_gives_the_same_network(
-    trained: tuple[SegmentationResult, Path], tiny_data: Path, tmp_path: Path
-) -> None:
+def test_same_seed_gives_the_same_network(trained: tuple[FinderResult, Path], tiny_data: Path, tmp_path: Path) -> None:
     again = train_segmenter(CONFIG, [tiny_data], tmp_path)
     assert again.losses == trained[0].losses
     expected = load_segmenter(trained[1]).state_dict()

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from data_gen import BankOptions, generate_bank
-from physconvex.io import command
+from physconvex.io import Options, command
 
 if TYPE_CHECKING:
     from train.blind.scoring import BankScore
+
+
+class ScoreFiles(Options):
+    """Where a score is written."""
+
+    out: Path = Path("gap_score.json")
+    """File of the result (JSON)."""
+    tables: Path | None = None
+    """File of the result to read (Markdown)."""
+    figure: Path | None = None
+    """Picture: confusion, reliability, visibility."""
+
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, help=__doc__)
 
@@ -27,10 +41,8 @@ def generate(
     ],
 ) -> None:
     """Simulate marker captures with hidden effects; publish the labels' hash only. Goes on where it stopped."""
-    from tqdm import tqdm
-
-    with tqdm(total=options.count, dynamic_ncols=True) as bar:
-        count = generate_bank(out, seal, options, report=lambda name: (bar.set_description(name), bar.update())[0])
+    with _advancing(options.count) as report:
+        count = generate_bank(out, seal, options, report=report)
     typer.echo(f"{count} captures in {out}; labels in {seal}")
 
 
@@ -44,32 +56,23 @@ def diagnose_blindly(
     workers: Annotated[int, typer.Option(help="Processes, of one capture each.")] = 1,
 ) -> None:
     """Diagnose every capture with the default settings; goes on where it stopped."""
-    from tqdm import tqdm
-
     from train.blind.answers import diagnose_bank
 
     names = [] if without is None else [n.strip() for n in without.split(",")]
-    with tqdm(dynamic_ncols=True) as bar:
-        path = diagnose_bank(
-            captures,
-            out,
-            without=names,
-            workers=workers,
-            report=lambda name: (bar.set_description(name), bar.update())[0],
-        )
+    with _advancing() as report:
+        path = diagnose_bank(captures, out, without=names, workers=workers, report=report)
     typer.echo(f"answers and their hash in {path}")
 
 
 @app.command("score")
+@command
 def score_answers(
     *,
     captures: Annotated[list[Path], typer.Option(help="Folder of the captures; several banks are counted together.")],
     seal: Annotated[list[Path], typer.Option(help="File of the labels, of each bank.")],
     answers: Annotated[list[Path], typer.Option(help="answers.json, of each bank.")],
     oracle: Annotated[list[Path] | None, typer.Option(help="Folder of `oracle`, of each bank.")] = None,
-    out: Annotated[Path, typer.Option(help="File of the result (JSON).")] = Path("gap_score.json"),
-    tables: Annotated[Path | None, typer.Option(help="File of the result to read (Markdown).")] = None,
-    figure: Annotated[Path | None, typer.Option(help="Picture: confusion, reliability, visibility.")] = None,
+    files: ScoreFiles,
 ) -> None:
     """Open the seals and score the answers."""
     from physconvex import InputError
@@ -81,32 +84,45 @@ def score_answers(
             f"seal, answers, oracle: got {len(seal)}, {len(answers)} and {len(oracles)}; expected one for each of "
             f"{len(captures)} banks"
         )
-    _write(score_banks(*map(Bank, captures, seal, answers, oracles)), out, tables, figure)
+    _write(score_banks(*map(Bank, captures, seal, answers, oracles)), files)
 
 
 @app.command()
+@command
 def pool(
     results: Annotated[list[Path], typer.Argument(help="Files that `score` wrote, one of each bank.")],
-    out: Annotated[Path, typer.Option(help="File of the result (JSON).")] = Path("gap_score.json"),
-    tables: Annotated[Path | None, typer.Option(help="File of the result to read (Markdown).")] = None,
-    figure: Annotated[Path | None, typer.Option(help="Picture: confusion, reliability, visibility.")] = None,
+    files: ScoreFiles,
 ) -> None:
     """Count the captures of banks that were scored before together."""
     from train.blind.pooling import pool_scores
 
-    _write(pool_scores(results), out, tables, figure)
+    _write(pool_scores(results), files)
 
 
-def _write(result: BankScore, out: Path, tables: Path | None, figure: Path | None) -> None:
+def _write(result: BankScore, files: ScoreFiles) -> None:
     from train.blind.summary import draw_score, score_json, score_markdown
 
-    out.write_text(score_json(result), encoding="utf-8")
+    files.out.write_text(score_json(result), encoding="utf-8")
     text = score_markdown(result)
-    if tables is not None:
-        tables.write_text(text, encoding="utf-8")
-    if figure is not None:
-        draw_score(result, figure)
+    if files.tables is not None:
+        files.tables.write_text(text, encoding="utf-8")
+    if files.figure is not None:
+        draw_score(result, files.figure)
     typer.echo(text)
+
+
+@contextmanager
+def _advancing(total: int | None = None) -> Iterator[Callable[[str], None]]:
+    """A bar that each report of a name moves by one."""
+    from tqdm import tqdm
+
+    with tqdm(total=total, dynamic_ncols=True) as bar:
+
+        def advance(name: str) -> None:
+            bar.set_description(name)
+            bar.update()
+
+        yield advance
 
 
 @app.command()
@@ -118,13 +134,8 @@ def oracle(
     workers: Annotated[int, typer.Option(help="Processes, of one capture each.")] = 1,
 ) -> None:
     """Open the seal and diagnose each visible single effect with that effect alone; goes on where it stopped."""
-    from tqdm import tqdm
-
     from train.blind.oracle import run_oracle
     from train.blind.scoring import Bank
 
-    with tqdm(dynamic_ncols=True) as bar:
-        run_oracle(
-            Bank(captures, seal, answers), out, workers=workers,
-            report=lambda name: (bar.set_description(name), bar.update())[0],
-        )  # fmt: skip
+    with _advancing() as report:
+        run_oracle(Bank(captures, seal, answers), out, workers=workers, report=report)

@@ -45,11 +45,11 @@ def draw_batch(
 ) -> FallBatch:
     """Random views of some falls, prepared as at inference."""
     views = draw_views(falls, chosen, camera, generator)
-    prepared = prepare_clips_at_once(views.images, views.masks, config.clip)
+    windows, moments = prepare_clips_at_once(views.images, views.masks, config.clip)
     shown = Shown(
-        windows=prepared.windows,
-        moments=prepared.moments,
-        valid=torch.ones(prepared.moments.shape[:2], dtype=torch.bool, device=chosen.device),
+        windows,
+        moments,
+        valid=torch.ones(moments.shape[:2], dtype=torch.bool, device=chosen.device),
         interval=falls.interval[chosen],
         states=turned(falls.states[chosen], views.turn),
     )
@@ -70,11 +70,9 @@ def real_batch(
 
 def joined_batches(one: FallBatch, other: FallBatch) -> FallBatch:
     """Both in one."""
+    shown = Shown(*map(_joined, vars(one.shown).values(), vars(other.shown).values()))
+    return FallBatch(shown, *map(_joined, list(vars(one).values())[1:], list(vars(other).values())[1:]))
 
-    def both(name: str) -> Tensor:
-        return torch.cat([getattr(one, name), getattr(other, name)])
 
-    shown = Shown(
-        **{name: torch.cat([getattr(one.shown, name), getattr(other.shown, name)]) for name in vars(one.shown)}
-    )
-    return FallBatch(shown, *(both(name) for name in ("confidence", "log10_stiffness", "poisson_ratio", "weight")))
+def _joined(one: Tensor, other: Tensor) -> Tensor:
+    return torch.cat([one, other])

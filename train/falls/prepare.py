@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -14,19 +12,10 @@ from models import GREY, ClipConfig
 _FIRST = 3  # frames that give the unit of length, as in models.silhouette and models.windows
 
 
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """As `models.clip.PreparedClip`, for B clips."""
-
-    windows: Float[Tensor, "B T W W 4"]
-    """0..255"""
-    moments: Float[Tensor, "B T M"]
-
-
 def prepare_clips_at_once(
     images: Float[Tensor, "B T S S 3"], masks: Float[Tensor, "B T S S"], settings: ClipConfig
-) -> Prepared:
-    """Square about the path, silhouettes measured in it, windows that follow the object.
+) -> tuple[Float[Tensor, "B T W W 4"], Float[Tensor, "B T M"]]:
+    """Windows (0..255) and moments: square about the path, silhouettes measured in it, windows that follow the object.
 
     Args:
         images: 0..255.
@@ -48,7 +37,7 @@ def prepare_clips_at_once(
     start = raw[..., :2] - (edge / 2)[:, None, None] + step / 2 - 0.5
     windows = _sampled(square, start, step.expand(-1, masks.shape[1], -1), settings.window)
     windows[:, :, :3] += GREY
-    return Prepared(windows.movedim(2, -1).round().clamp(0, 255), moments)
+    return windows.movedim(2, -1).round().clamp(0, 255), moments
 
 
 def _crop(masks: Tensor, margin: float) -> tuple[Float[Tensor, "B 2"], Float[Tensor, " B"]]:

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import torch
 from safetensors.torch import load_file, save_file
-from timm.optim import create_optimizer_v2
 from timm.utils import ModelEmaV3
 from torch import Tensor
 
@@ -27,11 +26,11 @@ from train.falls.batches import FallBatch, draw_batch, joined_batches, real_batc
 from train.falls.real import RealClips
 from train.falls.world import Falls
 from train.losses import density_losses, noisy_states, state_loss
+from train.optimisation import optimizer_of
 from train.options import Pretraining
 from train.progress import Report
 from train.run_log import RunLog
-from train.run_state import TrainingProgress, load_training_state, refuse_other_run, save_training_state
-from train.schedule import cosine_schedule
+from train.run_state import TrainingProgress, TrainingState
 
 _LOG = logging.getLogger("physconvex")
 
@@ -119,15 +118,13 @@ class _Run:
         self.device, self.camera = falls.positions.device, camera or CameraConfig()
         self.confidence = torch.ones(1, device=self.device) if real is None else real.confidence
         self.average = ModelEmaV3(network, decay=config.ema_decay, use_warmup=True)
-        self.optimizer = create_optimizer_v2(
-            network, opt=config.optimizer, lr=config.learning_rate, weight_decay=config.weight_decay
-        )
-        self.schedule = cosine_schedule(self.optimizer, config, plan.steps)
+        self.optimizer, self.schedule = optimizer_of(config, network, plan.steps)
+        self.state = TrainingState(out / STATE, network, self.average.module, self.optimizer)
         self.looked_at: dict[str, list[FallBatch]] = {}
 
     def train(self, fingerprint: str, resume: bool) -> PhysicsNetwork:
         """Run the plan to its end or the budget's."""
-        progress = self._start(fingerprint, resume)
+        progress = self.state.load(fingerprint, resume=resume)
         log = RunLog(self.out, first_step=progress.step)
         try:
             self._steps(progress, log)
@@ -140,18 +137,6 @@ class _Run:
     @property
     def _best(self) -> Path:
         return self.out / "pretrained.safetensors"
-
-    @property
-    def _state(self) -> Path:
-        return self.out / STATE
-
-    def _start(self, fingerprint: str, resume: bool) -> TrainingProgress:
-        if not (resume and self._state.is_file()):
-            return TrainingProgress(fingerprint=fingerprint)
-        refuse_other_run(self._state, fingerprint)
-        return load_training_state(
-            self._state, network=self.network, average=self.average.module, optimizer=self.optimizer
-        )
 
     def _steps(self, progress: TrainingProgress, log: RunLog) -> None:
         plan, started = self.plan, time.monotonic() - progress.seconds
@@ -218,9 +203,7 @@ class _Run:
             part = self._best.with_suffix(".part")
             save_file({name: value.cpu().contiguous() for name, value in network.state_dict().items()}, part)
             os.replace(part, self._best)
-        save_training_state(
-            self._state, network=self.network, average=network, optimizer=self.optimizer, progress=progress
-        )
+        self.state.save(progress)
         return progress
 
     def look_at(self, held_out: Falls, validation: RealClips | None) -> None:

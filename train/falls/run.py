@@ -14,6 +14,7 @@ from models import PhysicsNetwork
 from physconvex import InputError
 from physconvex.numerics import device_named
 from train.config import TrainConfig
+from train.data import split_clips
 from train.export import Origin, export_best
 from train.falls.pretrain import STATE, pretrain
 from train.falls.real import RealClips
@@ -23,7 +24,6 @@ from train.options import Pretraining
 from train.progress import Report
 from train.run_log import run_fingerprint, write_config
 from train.run_state import refuse_other_run
-from train.split_clips import split_clips
 from train.validation import validate
 
 _HELD_OUT = 80  # falls for evaluation only

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from models import PhysicsNetwork, captured_energy_loss, span_loss
+from models import PhysicsNetwork
 from train.config import LossConfig
 from train.data import Item, TrainingClips, collate
-from train.losses import Targets
+from train.losses import Targets, skinning_losses
 from train.progress import Report
 
 
@@ -45,9 +45,7 @@ def fit_skinning_head(
     for step in range(plan.steps):
         chosen = torch.randint(len(latents), (plan.batch_size,), generator=generator)
         some = Targets(**{name: value[chosen] for name, value in vars(targets).items()})
-        weights = head(latents[chosen], some.points)
-        span = span_loss(weights, some.modes, some.volume_weights, some.importance).mean()
-        captured = captured_energy_loss(weights, some.displacements, some.points, some.volume_weights).mean()
+        span, captured = (part.mean() for part in skinning_losses(head(latents[chosen], some.points), some))
         total = loss.span * span + loss.captured * captured
         optimizer.zero_grad()
         total.backward()

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from physconvex.io import command
-from train.paper.options import PaperOptions
+from train.options import PaperOptions
 
 
 @command

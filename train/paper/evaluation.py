@@ -24,7 +24,7 @@ from physconvex.identify import FullModel, TwinOptions, base_twin
 from physconvex.io import Camera, Capture, load_capture
 from physconvex.mesh import Embedding, TetMesh
 from physconvex.reconstruction import ReconstructionConfig
-from train.paper.options import PaperOptions
+from train.options import PaperOptions
 from train.paper.pictures import score_pictures
 from train.paper.published_way import NAMES, fit_as_published
 from train.paper.rows import Change, ObjectRow, PaperPart, PictureScores

@@ -21,10 +21,9 @@ from train import Bank, area_under_roc, diagnose_bank, run_oracle, score_banks
 from train.blind import answers, oracle
 from train.blind.answers import likeliest_known
 from train.blind.command import app
-from train.blind.doses import score_doses
 from train.blind.metrics import calibration_error, proportion, reliability
 from train.blind.pooling import pool_scores
-from train.blind.rows import share_of
+from train.blind.rows import score_doses, share_of
 from train.blind.summary import draw_score, score_json, score_markdown
 
 

@@ -18,16 +18,16 @@ def views(falls, generator):
 
 
 def test_as_inference_prepares_them(views):
-    prepared = prepare_clips_at_once(views.images, views.masks, SETTINGS)
+    windows, moments = prepare_clips_at_once(views.images, views.masks, SETTINGS)
     for k in range(3):
         one = prepare_clip(
             views.images[k].round().byte().numpy(),
             mask=255 * (views.masks[k] > 0).byte().numpy(),
             config=SETTINGS,
         )
-        assert prepared.moments[k].numpy() == pytest.approx(one.moments, abs=0.04)
-        assert np.abs(prepared.moments[k].numpy() - one.moments).mean() < 0.004
-        difference = np.abs(prepared.windows[k].numpy() - one.windows)
+        assert moments[k].numpy() == pytest.approx(one.moments, abs=0.04)
+        assert np.abs(moments[k].numpy() - one.moments).mean() < 0.004
+        difference = np.abs(windows[k].numpy() - one.windows)
         assert difference.mean() < 1.5
         # and they show something
         assert np.abs(one.windows.astype(float) - 127).mean() > 10
@@ -51,7 +51,7 @@ def test_a_motion_to_the_right_goes_right(falls, generator):
 
     chosen = torch.zeros(12, dtype=torch.long)
     views = draw_views(falls, chosen, CameraConfig(), generator)
-    moments = prepare_clips_at_once(views.images, views.masks, SETTINGS).moments[:, :, 0]
+    moments = prepare_clips_at_once(views.images, views.masks, SETTINGS)[1][:, :, 0]
     shift = turned(falls.states[chosen], views.turn)[:, :, 0]
     seen, true = moments[:, 7] - moments[:, 0], shift[:, 7]
     clear = true.abs() > 0.05

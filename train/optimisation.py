@@ -1,4 +1,4 @@
-"""Which arithmetic a run computes in."""
+"""Optimiser, learning rate and arithmetic of a run."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 import torch
+from timm.optim import create_optimizer_v2
+from timm.scheduler import CosineLRScheduler
+
+from train.config import TrainConfig
 
 Precision = Literal["no", "bf16"]
 
@@ -30,3 +34,25 @@ def _processor_knows_bf16() -> bool:
     asked = getattr(torch.cpu, "get_capabilities", dict)  # an old torch lacks it: better slow than very slow
     capabilities: Mapping[str, Any] = asked()
     return any(capabilities.get(name, False) for name in ("avx512_bf16", "amx_bf16", "bf16"))
+
+
+def optimizer_of(
+    config: TrainConfig, network: torch.nn.Module, steps: int
+) -> tuple[torch.optim.Optimizer, CosineLRScheduler]:
+    """The optimiser, and its learning rate by step (`step_update`).
+
+    The rate increases from a hundredth of `config.learning_rate` to all of it, then falls along a cosine to its final
+    share.
+    """
+    optimizer = create_optimizer_v2(
+        network, opt=config.optimizer, lr=config.learning_rate, weight_decay=config.weight_decay
+    )
+    schedule = CosineLRScheduler(
+        optimizer,
+        t_initial=max(steps, 1),
+        lr_min=config.learning_rate * config.final_share,
+        warmup_t=round(config.warmup_share * steps),
+        warmup_lr_init=config.learning_rate * 0.01,
+        t_in_epochs=False,
+    )
+    return optimizer, schedule
