@@ -24,12 +24,17 @@ _THUMBNAIL = 64  # [px]
 class ClipConfig(Options):
     """Format of the network's input."""
 
-    image_size: int = 112  # [px] of the fixed square in which silhouettes are measured
-    window: int = 80  # [px] edge of the windows that follow the object
-    extent: float = 1.7  # the same in units of the silhouette's first larger edge
+    image_size: int = 112
+    """Edge of the fixed square in which silhouettes are measured [px]."""
+    window: int = 80
+    """Edge of the windows that follow the object [px]."""
+    extent: float = 1.7
+    """The same in units of the silhouette's first larger edge."""
     frames: int = 24
-    target_fps: float = 24.0  # [1/s]
-    margin: float = 0.1  # around the object's path, as a share of its larger edge
+    target_fps: float = 24.0
+    """[1/s]"""
+    margin: float = 0.1
+    """Around the object's path, as a share of its larger edge."""
 
     @model_validator(mode="after")
     def _check(self) -> ClipConfig:

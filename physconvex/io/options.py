@@ -63,6 +63,17 @@ class Options(BaseModel):
                 raise InputError(error_in_words(error)) from None
 
     @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        """What `help` shows: types without what validation and the command line read, and the help of each field."""
+        lines, parameters = [inspect.cleandoc(cls.__doc__ or ""), "", "Attributes:"], []
+        for name, info in cls.model_fields.items():
+            lines.append(f"    {name}: {' '.join((info.description or '').split())}")
+            default = inspect.Parameter.empty if info.is_required() else info.get_default(call_default_factory=True)
+            kind = inspect.Parameter.KEYWORD_ONLY
+            parameters.append(inspect.Parameter(name, kind, default=default, annotation=info.annotation))
+        cls.__doc__, cls.__signature__ = "\n".join(lines), inspect.Signature(parameters)
+
+    @classmethod
     def or_default(cls, options: Self | None) -> Self:
         """The given options, or the defaults where there are none.
 

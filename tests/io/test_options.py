@@ -1,5 +1,6 @@
 """One options model: command line, JSON and errors."""
 
+import inspect
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
@@ -81,6 +82,13 @@ def test_every_field_is_an_option(run) -> None:
 def test_help_comes_from_the_field(run) -> None:
     text = run("--help")
     assert "Number of skinning" in text and "--budget" not in text and "[default: 20]" in text
+
+
+def test_help_of_the_model_has_plain_types_and_the_help_of_each_field() -> None:
+    signature = inspect.signature(FitOptions)
+    assert signature.parameters["weights"].annotation is int and signature.parameters["weights"].default == 20
+    assert "Annotated" not in str(signature) and "CommandLine" not in str(signature)
+    assert "\n    weights: Number of skinning" in (inspect.getdoc(FitOptions) or "")
 
 
 def test_values_out_of_range_are_told_by_name(run) -> None:
