@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from torch import Tensor
 
 from physconvex.dynamics.contact import Friction
 from physconvex.dynamics.first_guesses import GuessErrors
@@ -67,7 +66,6 @@ class StepRecord:
         two_step: whether the step was BDF2 (which needs a history), else implicit Euler.
         step: h [s].
         coefficients: of the incremental potential.
-        viscous: F* at which the viscosity is frozen.
         passes: one solve per linearisation of friction.
         after: state at its end.
     """
@@ -77,7 +75,6 @@ class StepRecord:
     two_step: bool
     step: float
     coefficients: StepCoefficients
-    viscous: Tensor | None
     passes: tuple[SolvedPass, ...]
     after: State
 
@@ -87,7 +84,6 @@ class StepObjective(Objective, Protocol):
     """The incremental potential of one time step, and what is fixed during it."""
 
     friction: tuple[Friction, ...]
-    viscous: Tensor | None
 
     @property
     def factorisations(self) -> int:
@@ -221,7 +217,7 @@ class Stepper:
         if self.recorded_errors is not None:
             self.recorded_errors.note(time, step, x - guess)
         after = State(time, x, coefficients.velocity(x))
-        return StepRecord(state, history, two_step, step, coefficients, self.equations.viscous, tuple(passes), after)
+        return StepRecord(state, history, two_step, step, coefficients, tuple(passes), after)
 
     def _history(self, state: State, step: float) -> State | None:
         """The state one step [s] earlier, by Hermite's cubic between two known states. None if none is so old.

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from physconvex.fem.assembly import scalar_matrix
 from physconvex.fem.compiled_elements import volumetric_elements
-from physconvex.fem.volumetric import VolumetricElements
+from physconvex.fem.volumetric import StepViscosity, VolumetricElements
 from physconvex.materials import (
     FlowRule,
     FlowStep,
@@ -148,8 +148,7 @@ class ElasticBody(MaterialBody):
         x: Float[np.ndarray, "V 3"],
         *,
         project: bool = False,
-        viscous_state: Tensor | None = None,
-        damping_ratio: float = 0.0,
+        viscosity: StepViscosity | None = None,
         response: FlowStep | None = None,
         out: Float[np.ndarray, "E m m"] | None = None,
     ) -> Float[np.ndarray, "E m m"]:
@@ -158,21 +157,20 @@ class ElasticBody(MaterialBody):
         Args:
             x: node positions [m].
             project: set negative eigenvalues of ∂P/∂F to zero first.
-            viscous_state: F* of a time step with Kelvin–Voigt viscosity, whose stiffness is then added.
-            damping_ratio: damping time over the time step [-].
+            viscosity: of a time step, whose stiffness is then added.
             response: as for the energy.
             out: an array for the result, since allocating memory costs more than the arithmetic.
         """
         if self._quick is not None and not project:
-            state = None if viscous_state is None else viscous_state.numpy()
-            quick = self._quick.stiffness(x, viscous_state=state, damping_ratio=damping_ratio, out=out)
+            quick = self._quick.stiffness(x, viscosity=viscosity, out=out)
             if quick is not None:
                 return quick
         hessian = self._material("hessian", self.deformation_gradient(x), response)
         if project:
             hessian = project_to_positive(hessian)
-        if viscous_state is not None:
-            hessian = hessian + strain_stiffness(viscous_state, damping_ratio * self.mu, damping_ratio * self.lam)
+        if viscosity is not None:
+            mu, lam = viscosity.ratio * self.mu, viscosity.ratio * self.lam
+            hessian = hessian + strain_stiffness(viscosity.state, mu, lam)
         return self._integrate(hessian)
 
     def _integrate(self, tensor: Tensor) -> np.ndarray:
@@ -188,10 +186,8 @@ class ElasticBody(MaterialBody):
         self,
         x: Float[np.ndarray, "V 3"],
         velocity: Float[np.ndarray, "V 3"],
-        state: Tensor,
+        viscosity: StepViscosity,
         *,
-        damping_time: float,
-        step: float,
         response: FlowStep | None = None,
         with_energy: bool = True,
     ) -> tuple[float, Float[np.ndarray, "V 3"]]:
@@ -199,24 +195,21 @@ class ElasticBody(MaterialBody):
 
         Args:
             x, velocity: of the nodes [m, m/s].
-            state, damping_time: of the viscosity.
-            step: derivative of positions by velocities [s].
+            viscosity: of the step.
             response: as for the energy.
             with_energy: compute the energy, which is NaN otherwise.
         """
         if self._quick is not None:
-            return self._quick.moving_energy_and_gradient(
-                x, velocity, state.numpy(), damping_time=damping_time, step=step, with_energy=with_energy
-            )
+            return self._quick.moving_energy_and_gradient(x, velocity, viscosity, with_energy=with_energy)
         moving = torch.cat([self._tensor(x), self._tensor(velocity)], dim=1)[self._tets]
         both = (moving.mT @ self._flat_gradients).reshape(len(self._tets), 2, 3, -1, 3).transpose(2, 3)
         f, rate = both[:, 0], both[:, 1]
-        strain, inner = self._viscous_pair(state, rate, damping_time)
-        gradient = self.forces_of(self._material("stress", f, response) + state @ inner)
+        strain, inner = self._viscous_pair(viscosity.state, rate, viscosity.damping_time)
+        gradient = self.forces_of(self._material("stress", f, response) + viscosity.state @ inner)
         if not with_energy:
             return float("nan"), gradient
         elastic = float((self._weights * self._material("energy", f, response)).sum())
-        return elastic + step * self._rate_potential(strain, inner), gradient
+        return elastic + viscosity.step * self._rate_potential(strain, inner), gradient
 
 
 def _rule(mesh: TetMesh) -> tuple[Float[np.ndarray, "E Q 4"], Float[np.ndarray, "E Q"]]:

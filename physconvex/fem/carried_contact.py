@@ -77,27 +77,15 @@ def _spread(vertices: np.ndarray, used: np.ndarray, area: float, count: int) -> 
     return np.union1d(first, hull)
 
 
-@dataclass(frozen=True, eq=False)
-class CarriedContact:
-    """The contact law at points that the nodes carry.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CarriedContact(Contact):
+    """The contact law at points that the nodes carry; blocks of its Hessians are those of the points.
 
     Attributes:
-        law: on the points.
         carried: the points, by the nodes.
     """
 
-    law: Contact
     carried: Embedding
-
-    @property
-    def slip_velocity(self) -> float:
-        """v_s [m/s]."""
-        return self.law.slip_velocity
-
-    @property
-    def stiffness(self) -> float:
-        """kc [Pa/m]."""
-        return self.law.stiffness
 
     @cached_property
     def _transposed(self) -> csr_matrix:
@@ -105,7 +93,7 @@ class CarriedContact:
 
     def energy_and_gradient(self, x: Float[np.ndarray, "V 3"], time: float) -> tuple[float, Float[np.ndarray, "V 3"]]:
         """Contact energy [J] and its derivative by the nodes [N]."""
-        energy, gradient = self.law.energy_and_gradient(self.carried.matrix @ x, time)
+        energy, gradient = super().energy_and_gradient(self.carried.matrix @ x, time)
         return energy, self._transposed @ gradient
 
     def freeze_friction(
@@ -113,7 +101,7 @@ class CarriedContact:
     ) -> tuple[Friction, ...]:
         """Friction on the points, linearised at node positions [m] and velocities [m/s]."""
         matrix = self.carried.matrix
-        return self.law.freeze_friction(matrix @ x, matrix @ velocity, time)
+        return super().freeze_friction(matrix @ x, matrix @ velocity, time)
 
     def friction_energy_and_gradient(
         self, frozen: tuple[Friction, ...], velocity: Float[np.ndarray, "V 3"]
@@ -121,16 +109,12 @@ class CarriedContact:
         """Rate potential [W] and its derivative by the velocities of the nodes [N]."""
         if not frozen:
             return 0.0, np.zeros_like(velocity)
-        loss, force = self.law.friction_energy_and_gradient(frozen, self.carried.matrix @ velocity)
+        loss, force = super().friction_energy_and_gradient(frozen, self.carried.matrix @ velocity)
         return loss, self._transposed @ force
 
     def hessian_blocks(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, "S 3 3"]:
         """Diagonal blocks of the Hessian by the points [N/m]."""
-        return self.law.hessian_blocks(self.carried.matrix @ x, time)
-
-    def friction_blocks(self, frozen: tuple[Friction, ...]) -> Float[np.ndarray, "S 3 3"]:
-        """Second derivative of the rate potential by the points, diagonal blocks [N·s/m]."""
-        return self.law.friction_blocks(frozen)
+        return super().hessian_blocks(self.carried.matrix @ x, time)
 
     def add_to_elements(self, elements: Float[np.ndarray, "E m m"], blocks: Float[np.ndarray, "S 3 3"]) -> None:
         """Add blocks of the points to the matrices of the elements that carry them."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
@@ -82,33 +81,17 @@ class CompiledContact(ContactProblem):
         return out
 
     @cached_property
-    def _arrays(self) -> Mapping[str, Array]:
-        """Arrays that the kernel reads, kept alive here."""
-        whole = {"starts": self.carried.indptr, "carriers": self.carried.indices, "obstacle": self.obstacles}
-        real = {
-            "weights": self.carried.data,
-            "areas": self.areas,
-            "free": self.free,
-            "base": self.base,
-            "compliance": self.compliance,
-        }
-        integers = {name: np.ascontiguousarray(array, dtype=np.int32) for name, array in whole.items()}
-        obstacles = obstacle_rows(self.law.obstacles, self.time)
-        return integers | {name: doubles(array) for name, array in real.items()} | {"obstacles": obstacles}
-
-    @cached_property
     def _pairs(self) -> _Pairs:
-        given = {name: address(array) for name, array in self._arrays.items()}
-        law = self.law
-        return _Pairs(
-            count=len(self.areas),
-            nodes=self.carried.shape[1],
-            stiffness=law.stiffness,
-            smoothing=law.smoothing,
-            slip_velocity=law.slip_velocity,
-            step=self.step,
-            **given,
-        )
+        law, carried = self.law, self.carried
+        indices = (carried.indptr, carried.indices, self.obstacles)
+        places = [np.ascontiguousarray(array, dtype=np.int32) for array in indices]
+        numbers = [doubles(array) for array in (carried.data, self.areas, self.free, self.base, self.compliance)]
+        rows = obstacle_rows(law.obstacles, self.time)
+        self._kept = places, numbers, rows  # alive as long as their addresses
+        *given, compliance = map(address, numbers)
+        arrays = (*map(address, places), *given, None, address(rows), compliance)
+        constants = law.stiffness, law.smoothing, law.slip_velocity, self.step
+        return _Pairs(len(self.areas), carried.shape[1], *arrays, *constants)
 
     @cached_property
     def _holding(self) -> _Pairs:

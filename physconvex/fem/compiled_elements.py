@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from physconvex.fem.volumetric import VolumetricElements
+from physconvex.fem.volumetric import StepViscosity, VolumetricElements
 from physconvex.kernels import POINTER, SOURCES, Kernel, address, aligned, doubles
 from physconvex.materials import KERNEL_LAWS, NEARLY_FLAT, Law, MaterialPoints
 
@@ -101,20 +101,13 @@ class CompiledElements(VolumetricElements):
         return energy, forces
 
     def moving_energy_and_gradient(
-        self,
-        x: Float[Array, "V 3"],
-        velocity: Float[Array, "V 3"],
-        state: Float[Array, "E Q 3 3"],
-        *,
-        damping_time: float,
-        step: float,
-        with_energy: bool,
+        self, x: Float[Array, "V 3"], velocity: Float[Array, "V 3"], viscosity: StepViscosity, *, with_energy: bool
     ) -> tuple[float, Float[Array, "V 3"]]:
         """The same with the viscosity of a step, as `ElasticBody.moving_energy_and_gradient`."""
-        given = [doubles(array) for array in (x, velocity, state)]
+        given = [doubles(array) for array in (x, velocity, viscosity.state.numpy())]
         forces = np.zeros(x.shape)
         energy = FEM_KERNEL.library.pc_energy_and_forces(
-            self._elements, *map(address, given), damping_time, step, address(forces)
+            self._elements, *map(address, given), viscosity.damping_time, viscosity.step, address(forces)
         )
         return energy if with_energy else float("nan"), forces
 
@@ -122,16 +115,15 @@ class CompiledElements(VolumetricElements):
         self,
         x: Float[Array, "V 3"],
         *,
-        viscous_state: Float[Array, "E Q 3 3"] | None = None,
-        damping_ratio: float = 0.0,
+        viscosity: StepViscosity | None = None,
         out: Float[Array, "E m m"] | None = None,
     ) -> Float[Array, "E m m"] | None:
         """Element matrices as `ElasticBody.element_hessians`; None where the body is nearly flat at a point."""
         x, width = doubles(x), 3 * self._shape[2]
-        state = None if viscous_state is None else doubles(viscous_state)
+        state, ratio = (None, 0.0) if viscosity is None else (doubles(viscosity.state.numpy()), viscosity.ratio)
         out = np.empty((self._shape[0], width, width)) if out is None else out
         given = self._elements, address(x), None if state is None else address(state)
-        return out if FEM_KERNEL.library.pc_stiffness(*given, damping_ratio, address(out)) else None
+        return out if FEM_KERNEL.library.pc_stiffness(*given, ratio, address(out)) else None
 
     @cached_property
     def _elements(self) -> _Elements:

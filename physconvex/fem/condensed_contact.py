@@ -49,7 +49,7 @@ class CondensedContact:
         contact = equations.contact
         self.matrix = contact.carried.matrix if isinstance(contact, CarriedContact) else None
         self.factor = KeptFactor(equations)
-        self.dense = DenseContact(contact.law if isinstance(contact, CarriedContact) else contact)
+        self.dense = DenseContact(contact)
         self._free = equations.assembler.free
         self._known, self._carried = np.zeros(0, dtype=np.int64), self._carriers(np.zeros(0, dtype=np.int64))
         self._last = 0  # Newton steps of the last time step

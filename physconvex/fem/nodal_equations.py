@@ -5,13 +5,13 @@ from __future__ import annotations
 import weakref
 
 import numpy as np
-from torch import Tensor
 
 from physconvex.dynamics import Friction, State, StepCoefficients
 from physconvex.fem.assembly import Assembler
 from physconvex.fem.carried_contact import CarriedContact
 from physconvex.fem.hanging_load import Hanging
 from physconvex.fem.scene import Scene
+from physconvex.fem.volumetric import StepViscosity
 from physconvex.materials import FlowStep
 from physconvex.numerics import SymmetricSolver
 
@@ -35,7 +35,7 @@ class NodalEquations:
         self.coefficients: StepCoefficients | None = None
         self.forces = scene.external_forces(0.0)
         self.time = 0.0
-        self.viscous: Tensor | None = None
+        self.viscosity: StepViscosity | None = None
         self.friction: tuple[Friction, ...] = ()
         self.freezes_friction = True  # as a step begins
         self.undo = None if self.body.flow is None else self.body.unflowed()  # F_f⁻¹, stored from step to step
@@ -79,7 +79,10 @@ class NodalEquations:
             self.hanging.set_step(coefficients, time, guess, last)
             self.forces = self.forces + self.hanging.force()
             self.factorised = self.factorised and self.hanging.share == before
-        self.viscous = self.body.deformation_gradient(guess) if self.scene.damping_time > 0 else None
+        self.viscosity = None
+        if (damping_time := self.scene.damping_time) > 0:
+            state = self.body.deformation_gradient(guess)
+            self.viscosity = StepViscosity(state, damping_time, coefficients.step)
         if self.freezes_friction:
             self.friction = self.contact.freeze_friction(last.positions, coefficients.velocity(guess), last.time)
         self._freeze_flow(last.positions)
@@ -140,16 +143,10 @@ class NodalEquations:
 
     def _body_energy_and_gradient(self, x: np.ndarray, *, with_energy: bool) -> tuple[float, np.ndarray]:
         """Energy and gradient of elasticity, and of viscosity during a time step."""
-        if self.coefficients is None or self.viscous is None:
+        if self.coefficients is None or self.viscosity is None:
             return self.body.energy_and_gradient(x, response=self.response)
         return self.body.moving_energy_and_gradient(
-            x,
-            self.coefficients.velocity(x),
-            self.viscous,
-            damping_time=self.scene.damping_time,
-            step=self.coefficients.step,
-            response=self.response,
-            with_energy=with_energy,
+            x, self.coefficients.velocity(x), self.viscosity, response=self.response, with_energy=with_energy
         )
 
     def _inertia(self, x: np.ndarray, c: StepCoefficients) -> tuple[float, np.ndarray]:
@@ -182,14 +179,8 @@ class NodalEquations:
         """Factorise Newton's matrix, or without contact the derivative of `smooth_gradient`."""
         self.factorised = False
         step = np.inf if self.coefficients is None else self.coefficients.step
-        ratio = self.scene.damping_time / step
         local = self.body.element_hessians(
-            x,
-            project=project,
-            viscous_state=self.viscous,
-            damping_ratio=ratio,
-            response=self.response,
-            out=self._element_matrices,
+            x, project=project, viscosity=self.viscosity, response=self.response, out=self._element_matrices
         )
         blocks = self.contact.hessian_blocks(x, self.time) if contact else None
         inertia, wind = 0.0, None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -170,12 +170,14 @@ class Scene(World):
             velocities[self.held.nodes] = 0.0
         return velocities
 
-    def contact(self) -> Contact | CarriedContact:
+    def contact(self) -> Contact:
         """The contact law with its defaults resolved."""
         mesh, points = self.body.mesh, self.contact_points
         if points is None:
             return self._contact(mesh.node_areas)
-        return CarriedContact(self._contact(points.areas), _carried(mesh, points))
+        law = self._contact(points.areas)
+        given = {item.name: getattr(law, item.name) for item in fields(law) if item.init}
+        return CarriedContact(**given, carried=_carried(mesh, points))
 
     def _contact(self, areas: Float[np.ndarray, " S"]) -> Contact:
         return self.contact_law(areas, youngs_modulus=float(self.body.youngs_modulus.max()), size=self.body.mesh.size)

@@ -63,8 +63,7 @@ class Flight:
         self.in_flight = timing.flight_steps_per_frame or timing.steps_per_frame
         contact = scene.contact()
         self._matrix = contact.carried.matrix if isinstance(contact, CarriedContact) else None
-        law = contact.law if isinstance(contact, CarriedContact) else contact
-        self._nodes = law.nodes
+        self._nodes = contact.nodes
         self._flying = self.in_flight != self.usual and all(
             driven is None for driven in (scene.held, scene.loads, scene.push)
         )

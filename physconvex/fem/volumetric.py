@@ -12,11 +12,13 @@ matrix, ∂N_a/∂X_j at the points. With C = cof F and u_ai = Σ_j C_ij ∂N_a/
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
+from torch import Tensor
 
 from physconvex.materials import (
     Law,
@@ -29,6 +31,26 @@ from physconvex.materials import (
 
 Array = np.ndarray
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+@dataclass(frozen=True)
+class StepViscosity:
+    """Kelvin–Voigt viscosity during a time step.
+
+    Attributes:
+        state: F* at which it is frozen, shape [E, Q, 3, 3].
+        damping_time: viscosities over Lamé constants [s].
+        step: derivative of positions by velocities [s].
+    """
+
+    state: Tensor
+    damping_time: float
+    step: float
+
+    @property
+    def ratio(self) -> float:
+        """Damping time over the time step [-]."""
+        return self.damping_time / self.step
 
 
 class VolumetricElements:
@@ -89,18 +111,12 @@ class VolumetricElements:
         return energy, self._forces(stress)
 
     def moving_energy_and_gradient(
-        self,
-        x: Float[Array, "V 3"],
-        velocity: Float[Array, "V 3"],
-        state: Float[Array, "E Q 3 3"],
-        *,
-        damping_time: float,
-        step: float,
-        with_energy: bool,
+        self, x: Float[Array, "V 3"], velocity: Float[Array, "V 3"], viscosity: StepViscosity, *, with_energy: bool
     ) -> tuple[float, Float[Array, "V 3"]]:
         """The same with the viscosity of a step, as `ElasticBody.moving_energy_and_gradient`."""
         both = self._at_points(np.concatenate([x, velocity], axis=1))
-        frozen = np.ascontiguousarray(state.reshape(-1, 3, 3).transpose(1, 2, 0))
+        damping_time = viscosity.damping_time
+        frozen = np.ascontiguousarray(viscosity.state.numpy().reshape(-1, 3, 3).transpose(1, 2, 0))
         strain = np.einsum("ijp,ikp->jkp", frozen, both[3:])
         strain = 0.5 * (strain + strain.transpose(1, 0, 2))
         inner = 2 * damping_time * self._weighted_mu * strain
@@ -109,14 +125,13 @@ class VolumetricElements:
             inner[j, j] += trace
         energy, stress = self._elastic(both[:3], with_energy=with_energy)
         stress += np.einsum("ijp,jkp->ikp", frozen, inner)
-        return energy + 0.5 * step * float(np.einsum("jkp,jkp->", inner, strain)), self._forces(stress)
+        return energy + 0.5 * viscosity.step * float(np.einsum("jkp,jkp->", inner, strain)), self._forces(stress)
 
     def stiffness(
         self,
         x: Float[Array, "V 3"],
         *,
-        viscous_state: Float[Array, "E Q 3 3"] | None = None,
-        damping_ratio: float = 0.0,
+        viscosity: StepViscosity | None = None,
         out: Float[Array, "E m m"] | None = None,
     ) -> Float[Array, "E m m"] | None:
         """Element matrices as `ElasticBody.element_hessians`; None where the body is nearly flat at a point."""
@@ -127,10 +142,11 @@ class VolumetricElements:
         elastic = _Fields(self._along(cofactor.transpose(2, 1, 0)), self._weights * slope / j)
         out = self._squares(elastic.values, self._weights * curvature, out)
         viscous = None
-        if viscous_state is not None:
-            viscous = _Fields(self._along(viscous_state.transpose(0, 1, 3, 2)), damping_ratio * self._weighted_mu)
-            out += self._squares(viscous.values, damping_ratio * self._weighted_lam)
-            squared = viscous_state @ viscous_state.transpose(0, 1, 3, 2) * viscous.weights[..., None]
+        if viscosity is not None:
+            state, ratio = viscosity.state.numpy(), viscosity.ratio
+            viscous = _Fields(self._along(state.transpose(0, 1, 3, 2)), ratio * self._weighted_mu)
+            out += self._squares(viscous.values, ratio * self._weighted_lam)
+            squared = state @ state.transpose(0, 1, 3, 2) * viscous.weights[..., None]
         count, _, nodes, _ = self._shape
         blocks = out.reshape(count, nodes, 3, nodes, 3)
         for i, k in _PAIRS:

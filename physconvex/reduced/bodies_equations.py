@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from torch import Tensor
 
 from physconvex.dynamics import Friction, State, StepCoefficients
 from physconvex.reduced.bodies import ReducedBodies
@@ -26,8 +25,7 @@ class _Pair:
 class BodiesEquations(DenseNewton):
     """Incremental potential of one time step; coordinates of all bodies below each other, [R_1 + R_2 + …, 3]."""
 
-    viscous: Tensor | None = None  # a step's record has no viscosity: it is in the equations of each body
-    friction: tuple[Friction, ...] = ()
+    friction: tuple[Friction, ...] = ()  # it is in the equations of each body
 
     def __init__(self, world: ReducedBodies) -> None:
         super().__init__(world.size)

@@ -89,16 +89,9 @@ class ReducedBody(MaterialBody):
             self._quick = volumetric_samples(self.law, self._samples)
         self.mass, self.first_moments = space.mass_matrix(self.density)
 
-    def with_material(
-        self,
-        *,
-        youngs_modulus: PerCell | None = None,
-        poisson_ratio: PerCell | None = None,
-        density: PerCell | None = None,
-    ) -> ReducedBody:
-        """The same body with other constants; the space is shared."""
-        given = {"youngs_modulus": youngs_modulus, "poisson_ratio": poisson_ratio, "density": density}
-        return self._changed(**{name: value for name, value in given.items() if value is not None})
+    def with_material(self, **constants: PerCell) -> ReducedBody:
+        """The same body with other constants `youngs_modulus`, `poisson_ratio` or `density`; the space is shared."""
+        return self._changed(**constants)
 
     def with_flow(self, flow: FlowRule | None) -> ReducedBody:
         """The same body with another flow rule; the space is shared."""
@@ -178,28 +171,14 @@ class ReducedBody(MaterialBody):
             return self._quick.gradient_with(y, mu.numpy(), lam.numpy())
         return self.forces_of(self.law.stress(self.deformation_gradient(y), mu, lam))
 
-    def hessian(
-        self,
-        y: Float[np.ndarray, "R 3"],
-        *,
-        project: bool = False,
-        viscous_state: Tensor | None = None,
-        damping_ratio: float = 0.0,
-        response: FlowStep | None = None,
-    ) -> Float[np.ndarray, "N N"]:
-        """Dense stiffness matrix [N/m], N = 3 R, ordered function by function.
+    def hessian(self, y: Float[np.ndarray, "R 3"], *, project: bool = False) -> Float[np.ndarray, "N N"]:
+        """Dense stiffness matrix without viscosity [N/m], N = 3 R, ordered function by function.
 
         Args:
             y: coordinates [m].
             project: set negative eigenvalues of ∂P/∂F to zero first.
-            viscous_state: F* of a time step with Kelvin–Voigt viscosity, whose stiffness is then added.
-            damping_ratio: damping time over the time step [-].
-            response: as for the energy.
         """
-        blocks = self.stiffness_blocks(y, project=project, response=response)
-        if viscous_state is not None:
-            blocks += self.viscous_blocks(viscous_state, damping_ratio)
-        return function_by_function(blocks)
+        return function_by_function(self.stiffness_blocks(y, project=project))
 
     def stiffness_blocks(
         self, y: Float[np.ndarray, "R 3"], *, project: bool = False, response: FlowStep | None = None

@@ -130,7 +130,7 @@ def test_the_factor_turns_with_the_body(turned):
     factor = KeptFactor(equations)
     assert factor.prepare(x, renew=False)
     assert not factor.prepare(there, renew=False)
-    equations.viscous = equations.body.deformation_gradient(there)
+    equations.viscosity = replace(equations.viscosity, state=equations.body.deformation_gradient(there))
     way = np.random.default_rng(0).normal(size=x.shape)
     change = (equations.smooth_gradient(there + 1e-7 * way) - equations.smooth_gradient(there - 1e-7 * way)) / 2e-7
     np.testing.assert_allclose(-factor.apply(there, change), way, atol=1e-5)

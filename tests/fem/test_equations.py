@@ -6,6 +6,7 @@ import scipy.sparse as sp
 
 from physconvex.dynamics import Loads, Plane, Sphere, State, bdf2, implicit_euler
 from physconvex.fem import ElasticBody, NodalEquations, NodePins, Scene
+from physconvex.fem.volumetric import StepViscosity
 from physconvex.materials import LAWS
 from physconvex.mesh import box_mesh
 
@@ -92,7 +93,7 @@ def test_viscous_force_and_matrix():
     for d in directions(v.shape):
         slope = derivative(lambda u: body.viscous_energy_and_gradient(state, u, time)[0], v, d)
         np.testing.assert_allclose((force * d).sum(), slope, rtol=1e-6, atol=1e-7 * np.abs(force).sum())
-    with_viscosity = body.element_hessians(body.mesh.vertices, viscous_state=state, damping_ratio=time)
+    with_viscosity = body.element_hessians(body.mesh.vertices, viscosity=StepViscosity(state, time, 1.0))
     local = with_viscosity - body.element_hessians(body.mesh.vertices)
     tets = body.mesh.tets
     power = np.einsum("em,emn,en->", v[tets].reshape(len(tets), -1), local, v[tets].reshape(len(tets), -1))
@@ -146,7 +147,7 @@ def test_gradient_of_the_incremental_potential(order, two_step):
     scene = full_scene(order, sphere=True)
     equations, x = step_equations(scene, two_step=two_step)
     # everything is switched on, also at nodes that move
-    assert equations.viscous is not None and len(equations.friction) == 2
+    assert equations.viscosity is not None and len(equations.friction) == 2
     assert all(scene.free_nodes()[part.nodes].any() for part in equations.friction)
     free = scene.free_nodes()[:, None]
     _, gradient = equations.evaluate(x)

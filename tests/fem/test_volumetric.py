@@ -1,13 +1,14 @@
 """The fast arithmetic of the neo-Hookean laws, compiled and not, against that of every law, at random states."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from physconvex.fem import ElasticBody, compiled_elements as kernel
 from physconvex.fem.compiled_elements import CompiledElements, sum_into
-from physconvex.fem.volumetric import VolumetricElements
+from physconvex.fem.volumetric import StepViscosity, VolumetricElements
 from physconvex.materials import cofactor_and_determinant
 from physconvex.mesh import box_mesh
 from tests.kernels.missing import MISSING
@@ -74,19 +75,16 @@ def test_energy_forces_and_stiffness(law, order, cells, kind):
 def test_viscosity(law, order):
     quick, plain = bodies(law, order, (1, 3, 1))
     x, velocity, frozen = states(quick, 7)
-    state = quick.deformation_gradient(frozen)
-    moving = [
-        body.moving_energy_and_gradient(x, velocity, state, damping_time=0.003, step=0.01) for body in (quick, plain)
-    ]
+    viscosity = StepViscosity(quick.deformation_gradient(frozen), damping_time=0.003, step=0.01)
+    moving = [body.moving_energy_and_gradient(x, velocity, viscosity) for body in (quick, plain)]
     assert moving[0][0] == pytest.approx(moving[1][0], rel=1e-12)
     assert_close(moving[0][1], moving[1][1])
-    alone = [
-        body.moving_energy_and_gradient(x, velocity, state, damping_time=0.003, step=0.01, with_energy=False)
-        for body in (quick, plain)
-    ]
+    alone = [body.moving_energy_and_gradient(x, velocity, viscosity, with_energy=False) for body in (quick, plain)]
     assert np.isnan(alone[0][0])
     assert_close(alone[0][1], alone[1][1])
-    assert_close(*(body.element_hessians(x, viscous_state=state, damping_ratio=2.5) for body in (quick, plain)))
+    assert_close(
+        *(body.element_hessians(x, viscosity=replace(viscosity, damping_time=0.025)) for body in (quick, plain))
+    )
 
 
 def test_a_flat_body_has_a_stiffness_too():
