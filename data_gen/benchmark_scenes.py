@@ -30,31 +30,31 @@ class BenchmarkOptions(Options):
     count: Annotated[int, Field(ge=1)] = 12
     """Number of objects."""
     names: Annotated[tuple[str, ...] | None, CommandLine("--name")] = None
-    """Take this object, by the name of its folder; repeatable. Default: evenly spread over the alphabet."""
+    """Choose this object by the name of its folder; repeatable. Default: evenly spread over the alphabet."""
     size: Annotated[int, Field(ge=64)] = 448
     """Width and height of the images [pixels]."""
     views: Annotated[int, Field(ge=2)] = 12
-    """Cameras around."""
+    """Number of cameras around the object."""
     observed_views: Annotated[int, Field(ge=1)] = 1
-    """Those that a capture holds, evenly spread; 1: the front camera alone."""
+    """Number of cameras in a capture, evenly spread; 1: the front camera."""
     motion: MotionName = "drop"
-    """drop (on a rough floor) or toss (up, spinning, without a floor)."""
+    """Motion: drop (onto a rough floor) or toss (upwards with spin, without a floor)."""
     frames: Annotated[int, Field(ge=2)] = 24
-    """Frames."""
+    """Number of frames."""
     observed_frames: Annotated[int, Field(ge=2)] = 16
     """Frames that may be fitted."""
     fps: Annotated[float, Field(ge=1)] = 24.0
     """Frames per second."""
     nodes: Annotated[int, Field(ge=50)] = 2500
-    """Most nodes of the truth's quadratic mesh."""
+    """Most nodes of the quadratic mesh of the truth."""
     fill: bool = True
-    """Let its elements count as far as the body fills them."""
+    """Integrate mass and energy over the inside of the surface."""
     steps_per_frame: Annotated[int, Field(ge=1)] = 32
     """Time steps of the truth per frame."""
     checked: Annotated[bool, CommandLine("--check/--no-check")] = True
-    """State what half the nodes and half the steps change."""
+    """Measure how half the nodes and half the steps change the motion."""
     log10_modulus: Annotated[tuple[float, float], CommandLine("--modulus")] = (4.0, 7.0)
-    """Range of log10 E [log10 Pa]."""
+    """Range of log10 E, E in Pa."""
     poisson_ratio: Annotated[tuple[float, float], CommandLine(hidden=True)] = (0.2, 0.49)
     """Range of ν."""
     damping_time: Annotated[tuple[float, float], CommandLine(hidden=True)] = (5e-4, 2e-3)

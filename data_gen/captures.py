@@ -45,9 +45,9 @@ class RingOptions(Options):
     observed_frames: int | None = None
     """Frames that may be fitted. Default: two thirds of all."""
     markers: Annotated[int, Field(ge=0)] = 0
-    """Tracked surface points; 0 leaves out tracks.npz."""
+    """Number of tracked surface points; 0 omits tracks.npz."""
     marker_noise: Annotated[float, Field(gt=0)] = 1e-3
-    """Standard deviation of tracked coordinates [m]."""
+    """Standard deviation of the noise of tracked coordinates [m]."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Make FEM-simulated, rendered training data and captures."""
+"""Generate training data and captures by FEM simulation and rendering."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ app = typer.Typer(help=__doc__, no_args_is_help=True, add_completion=False)
 
 @app.callback()
 def _generate() -> None:
-    """Make FEM-simulated, rendered training data and captures."""
+    """Generate training data and captures by FEM simulation and rendering."""
 
 
-Out = Annotated[Path, typer.Option(help="Folder to make, or to finish if it was begun before.")]
+Out = Annotated[Path, typer.Option(help="Folder of the results; an unfinished one is completed.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
-Objects = Annotated[Path | None, typer.Option(help="Folder of meshes to use instead of procedural bodies.")]
+Objects = Annotated[Path | None, typer.Option(help="Folder of meshes that replace the procedural bodies.")]
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", help="Override, as material.poisson_ratio=[0.3,0.4]; repeatable."),
+    typer.Option("--set", help="Change a setting, such as material.poisson_ratio=[0.3,0.4]; repeatable."),
 ]
-Config = Annotated[str, typer.Option(help="Preset name (training, clean, captures) or YAML file.")]
+Config = Annotated[str, typer.Option(help="Preset (training, clean, captures) or YAML file.")]
 Progress = Annotated[bool, typer.Option(help="Show a progress bar.")]
 
 
@@ -49,7 +49,7 @@ def dataset(
     settings: Settings = None,
     progress: Progress = True,
 ) -> None:
-    """Simulate and render clips of dropped bodies, with labels and interior samples."""
+    """Simulate and render clips of falling bodies, with labels and samples of their interior."""
     resolved = _resolved(config, settings, objects)
     with _advancing(count, "simulation", progress) as advance:
         summary = generate_dataset(out, count=count, config=resolved, seed=seed, work=work, on_report=advance)
@@ -70,7 +70,8 @@ def captures_command(
     settings: Settings = None,
     progress: Progress = True,
 ) -> None:
-    """Simulate drops and film each with a ring of cameras: videos, masks, rest mesh, tetrahedra, tracks, truth."""
+    """Simulate falling bodies and film each with a ring of cameras. Writes videos, masks, meshes, tracks and the
+    truth."""
     resolved = _resolved(config, settings, objects)
     with _advancing(count, "capture", progress) as advance:
         summary = generate_captures(
@@ -85,7 +86,7 @@ def falls(
     *,
     out: Out,
     shapes: Annotated[int, typer.Option(min=1, help="Number of shapes.")] = 1720,
-    each: Annotated[int, typer.Option(min=1, help="Falls of each shape.")] = 4,
+    each: Annotated[int, typer.Option(min=1, help="Number of falls of each shape.")] = 4,
     nodes: Annotated[int, typer.Option(help="Most nodes of a mesh.")] = 1900,
     config: Config = "training",
     seed: Seed = 0,
@@ -93,7 +94,7 @@ def falls(
     settings: Settings = None,
     progress: Progress = True,
 ) -> None:
-    """Draw and mesh bodies that fall, for `physconvex pretrain`, which simulates them on a GPU."""
+    """Draw and mesh falling bodies for `physconvex pretrain`, which simulates them on a GPU."""
     from data_gen.explicit.generate import generate_falls
 
     resolved = _resolved(config, [*(settings or []), f"objects.simulations_per_object={each}"], None)
@@ -109,15 +110,16 @@ def falls(
 @command
 def benchmark_command(
     *,
-    objects: Annotated[Path, typer.Option(help="Folder of folders, each with a textured mesh.")],
+    objects: Annotated[Path, typer.Option(help="Folder whose subfolders hold one textured mesh each.")],
     out: Out,
     only: Annotated[
-        list[str] | None, typer.Option(help="Of these objects, make this one now; repeatable. Default: all.")
+        list[str] | None, typer.Option(help="Generate only this one of the chosen objects; repeatable. Default: all.")
     ] = None,
     options: BenchmarkOptions,
     progress: Progress = True,
 ) -> None:
-    """Drop or toss textured objects in the FEM and film them, truth apart, for `physconvex evaluate paper`."""
+    """Simulate and film falling or tossed textured objects for `physconvex evaluate paper`. The truth is stored
+    separately."""
     from data_gen.benchmark import generate_benchmark
 
     total = len(only or options.names or ()) or options.count

@@ -23,7 +23,7 @@ class WorkerOptions(Options):
     workers: Annotated[int, Field(ge=1)] = 2
     """Worker processes."""
     engine: Literal["local", "ray", "dask"] = "local"
-    """Where the workers run."""
+    """Engine that runs the workers."""
 
 
 def run_tasks(

@@ -250,7 +250,9 @@ def _flags(option: Any) -> str:
 def _value(option: Any, context: typer.Context) -> str:
     if option.is_flag:
         return ""
-    return f"`{plain(option.display_type(context)).strip('<>')}`" + (" …" if option.multiple else "")
+    kind = re.sub(r"list\[(\w+)\]| range", r"\1", option.display_type(context).strip("<>"))
+    kind = {"Path": "path", "str": "text"}.get(kind, kind)
+    return ", ".join(f"`{choice}`" for choice in kind.split("|")) + (" …" if option.multiple else "")
 
 
 def _default(option: Any) -> str:

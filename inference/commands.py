@@ -26,8 +26,8 @@ def predict_command(
     paths: Annotated[
         list[Path],
         typer.Argument(
-            help="Video files, capture folders (capture.json), folders of numbered images, or folders of "
-            "these, walked recursively. NAME_mask.mp4 beside NAME.mp4 is its mask.",
+            help="Video files, capture folders, folders of numbered images, or folders that contain them. "
+            "NAME_mask.mp4 beside NAME.mp4 is its mask.",
             show_default=False,
         ),
     ],
@@ -37,17 +37,17 @@ def predict_command(
     device: Annotated[str, typer.Option(help="Torch device, such as cpu or cuda.")] = "cpu",
     work: BatchOptions,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object per clip to standard output, nothing else.")
+        bool, typer.Option("--json", help="Print only one JSON object per clip, to standard output.")
     ] = False,
     redo: Annotated[bool, typer.Option("--redo", help="Predict finished clips again.")] = False,
-    no_progress: Annotated[bool, typer.Option("--no-progress", help="No progress bar.")] = False,
+    no_progress: Annotated[bool, typer.Option("--no-progress", help="Hide the progress bar.")] = False,
 ) -> None:
     """Predict Young's modulus, Poisson's ratio and skinning weights of the object in each clip.
 
     Writes predictions.csv, predictions.parquet, gallery.html and, per clip, JSON and skinning weights.
-    Stop it at any time: the same command goes on where it stopped.
+    It can be stopped at any time; the same command resumes.
 
-    Exit code: 0 all clips predicted, 1 some could not be or are cut short (each is named), 2 wrong usage.
+    Exit code 0: all clips are predicted. 1: some clips fail or are truncated; each is named. 2: wrong usage.
     """
     # Waiting threads of the network must not spin: clips are read on the same cores. Torch reads this when it is
     # loaded;

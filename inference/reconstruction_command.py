@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 @command
 def reconstruct_command(
     *,
-    capture: Annotated[Path, typer.Argument(help="Folder with capture.json and several cameras.", show_default=False)],
+    capture: Annotated[Path, typer.Argument(help="Capture folder with several cameras.", show_default=False)],
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("reconstruction"),
     options: ReconstructOptions,
-    turntable: Annotated[bool, typer.Option(help="Write a film of the object from all round.")] = True,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")] = False,
-    redo: Annotated[bool, typer.Option("--redo", help="Start anew, whatever is in the folder.")] = False,
-    no_progress: Annotated[bool, typer.Option("--no-progress", help="No progress bar.")] = False,
+    turntable: Annotated[bool, typer.Option(help="Write a turntable film.")] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print only the summary, as JSON.")] = False,
+    redo: Annotated[bool, typer.Option("--redo", help="Start from scratch; ignore results in the folder.")] = False,
+    no_progress: Annotated[bool, typer.Option("--no-progress", help="Hide the progress bar.")] = False,
 ) -> None:
-    """Reconstruct the object of a multi-view capture, as it is in the first frame, as coloured convexes.
+    """Reconstruct the object in the first frames of several cameras as a convex field.
 
-    Writes field.ply, hulls.glb, reconstruction.json, comparison images and a film. Stop it at any time: the same
-    command goes on where it stopped.
+    Writes field.ply, hulls.glb, reconstruction.json, comparison images and a film. It can be stopped at any time; the
+    same command resumes.
     """
     from tqdm import tqdm
 

@@ -20,11 +20,11 @@ class StatedConditions(Options):
     """What the user states about clips; None leaves it to the clip's own data, then to the default."""
 
     fps: float | None = None
-    """Frames per second of the motion [1/s]. Default: the file's."""
+    """Frames per second of the motion [1/s]. Default: those of the file."""
     density: float | None = None
-    """Density [kg/m³]. Default: the capture's, else 1000."""
+    """Density [kg/m³]. Default: that of the capture, else 1000."""
     object_size: float | None = None
-    """Largest edge of the object at rest [m]. Default: the capture's mesh, else 1."""
+    """Longest edge of the object at rest [m]. Default: that of the mesh of the capture, else 1."""
 
     @field_validator(*_UNITS, mode="before")
     @classmethod
@@ -52,7 +52,7 @@ class BatchOptions(Options):
     batch_size: int = 8
     """Most clips in one pass of the network."""
     workers: int | None = None
-    """Clips read at once. Default: 2, or 1 on a single core."""
+    """Number of clips read at once. Default: 2, or 1 on a single core."""
     processes: Annotated[bool, CommandLine(hidden=True)] = True
     """Read in worker processes, so that a codec that crashes takes one clip with it; else in threads."""
 
@@ -73,23 +73,23 @@ class ReconstructOptions(Options):
     """Settings of `reconstruct`. `settings` override `config`; `start`, `budget`, `steps` and `seed` override both."""
 
     held_out: Annotated[tuple[str, ...], CommandLine("--held-out")] = ()
-    """Camera that is scored but not fitted; repeatable."""
+    """Camera that is scored and not fitted; repeatable."""
     config: Path | ReconstructionConfig | None = None
     """YAML file of settings."""
     settings: Annotated[tuple[str, ...], CommandLine("--set")] = ()
-    """Override, as budget=12000 or point_rate=0.1; repeatable."""
+    """Change a setting, such as budget=12000 or point_rate=0.1; repeatable."""
     start: str | None = None
     """mesh, hull, points or auto (the first there is)."""
     points: Path | None = None
-    """File whose vertices the convexes may start from [m]."""
+    """File whose vertices are the points for --start points [m]."""
     budget: int | None = None
     """Most convexes. Default: 16000."""
     steps: int | None = None
-    """Steps of the optimiser, one view each. Default: 200."""
+    """Steps of the optimiser; each uses one view. Default: 200."""
     seed: int | None = None
     """Seed of everything random."""
     device: str = "cpu"
-    """Torch device that draws and fits, such as cpu or cuda."""
+    """Torch device of rendering and fit, such as cpu or cuda."""
 
     @property
     def resolved(self) -> ReconstructionConfig:

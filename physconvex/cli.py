@@ -131,7 +131,7 @@ def _root(
     ] = False,
     traceback: Annotated[bool, typer.Option("--traceback", help="Show the full traceback of an error.")] = False,
 ) -> None:
-    """Material parameters and skinning weights of soft objects from video."""
+    """Estimate material parameters and skinning weights of soft objects from video."""
 
 
 def main(arguments: list[str] | None = None) -> None:

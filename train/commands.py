@@ -11,17 +11,17 @@ from physconvex.io import command
 from train.options import FinderOptions, OutlineOptions, Pretraining, TrainOptions
 from train.progress import ProgressBar
 
-Data = Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")]
-RunFolder = Annotated[Path, typer.Option(help="Run folder; its `best/` is the checkpoint.")]
+Data = Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; repeatable.")]
+RunFolder = Annotated[Path, typer.Option(help="Folder of the run; its subfolder `best` is the checkpoint.")]
 CheckpointFolder = Annotated[Path, typer.Option(help="Folder of the checkpoint.")]
-Cache = Annotated[Path | None, typer.Option(help="Where prepared clips live; OUT/cache unless given.")]
+Cache = Annotated[Path | None, typer.Option(help="Folder of prepared clips. Default: OUT/cache.")]
 
 
 @command
 def train_command(*, data: Data, out: RunFolder, options: TrainOptions) -> None:
     """Train the predictor on data sets made by `physconvex generate`.
 
-    Several processes: `torchrun --nproc_per_node=N -m physconvex train …`.
+    For several processes: `torchrun --nproc_per_node=N -m physconvex train …`.
     """
     from train.config import load_train_config
     from train.loop import train_predictor
@@ -53,13 +53,13 @@ def pretrain_command(
     out: RunFolder,
     config: Annotated[str, typer.Option(help="YAML file or preset.")] = "falls",
     plan: Pretraining,
-    device: Annotated[str, typer.Option(help="A CUDA device, or `cpu`, which is some hundred times slower.")] = "cuda",
+    device: Annotated[str, typer.Option(help="CUDA device, or `cpu` (some hundred times slower).")] = "cuda",
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    resume: Annotated[bool, typer.Option(help="Go on with the run in --out.")] = True,
+    resume: Annotated[bool, typer.Option(help="Continue the run in --out.")] = True,
     cache: Cache = None,
     workers: Annotated[int, typer.Option(help="Processes that prepare clips and bodies.", min=1)] = 2,
 ) -> None:
-    """Train the predictor on falls simulated and drawn on a GPU, beside data sets."""
+    """Train the predictor on falls that a GPU simulates and renders, together with data sets."""
     from train.config import load_train_config
     from train.falls.run import train_on_falls
 
@@ -79,7 +79,7 @@ def calibrate_command(
     cache: Cache = None,
     workers: Annotated[int, typer.Option(help="Processes that prepare clips.", min=1)] = 1,
 ) -> None:
-    """Fit a checkpoint's 90 % intervals anew to the validation clips of data sets, each counted alike."""
+    """Refit the 90 % intervals of a checkpoint to validation clips, with equal weight for each data set."""
     from train.recalibration import recalibrate
 
     with ProgressBar() as bar:
@@ -93,7 +93,7 @@ def calibrate_command(
 
 @command
 def train_segmenter_command(*, data: Data, out: CheckpointFolder, options: FinderOptions) -> None:
-    """Train the network that finds the object in a clip on the true masks of data sets."""
+    """Train the network that finds the object in a clip, on the true masks of data sets."""
     from train.segmentation import SegmentationConfig, train_segmenter
 
     _use_threads(options.threads)
@@ -106,7 +106,7 @@ def train_segmenter_command(*, data: Data, out: CheckpointFolder, options: Finde
 
 @command
 def train_outline_command(*, data: Data, out: CheckpointFolder, options: OutlineOptions) -> None:
-    """Train the network that corrects the outline that the segmenter finds."""
+    """Train the network that corrects the outlines of the segmenter."""
     from train.outline import OutlineTraining, train_outline
 
     _use_threads(options.threads)

@@ -1,4 +1,4 @@
-"""Evaluate a checkpoint on held-out objects, the diagnosis on sealed captures, everything on the benchmark."""
+"""Evaluate the predictor, its skinning weights, the diagnosis, and the benchmark of the paper."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ app = typer.Typer(no_args_is_help=True, add_completion=False, help=__doc__)
 app.add_typer(gap_app, name="gap")
 app.command("paper")(paper_command)
 
-Data = Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")]
+Data = Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; repeatable.")]
 Out = Annotated[Path, typer.Option(help="Folder of the results (JSON and figure).")]
 TrainingData = Annotated[
-    list[Path] | None, typer.Option(help="Whose training clips' median the constant predictor says; DATA unless given.")
+    list[Path] | None,
+    typer.Option(help="Data set whose training median is the constant predictor; repeatable. Default: DATA."),
 ]
 
 
@@ -33,9 +34,9 @@ def predictor_command(
     options: EvaluationOptions,
     training_data: TrainingData = None,
 ) -> None:
-    """Errors of log10 E and ν and coverage of their intervals, by decade of stiffness.
+    """Print errors of log10 E and ν and the coverage of their intervals, by decade of E.
 
-    Beside the constant predictor, and the same network given frames in random order, and a single frame.
+    Baselines: a constant predictor, and the same network with shuffled frames or a single frame.
     """
     from train.predictor_evaluation import evaluate_predictor, write_predictor_report
 
@@ -53,7 +54,8 @@ def skinning_command(
     out: Out,
     options: EvaluationOptions,
 ) -> None:
-    """Share of FEM motion that the predicted handles follow, beside eigenmodes and a random basis."""
+    """Print the share of the FEM motion that the predicted weights capture. Baselines: eigenmodes and a random
+    basis."""
     from train.skinning_evaluation import evaluate_skinning, write_skinning_report
 
     with ProgressBar() as bar:

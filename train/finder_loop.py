@@ -29,7 +29,7 @@ class FinderRecipe:
 
     network: SegmenterConfig | OutlineConfig
     steps: int
-    """Of the optimiser."""
+    """Steps of the optimiser."""
     batch: int
     """Clips per step."""
     learning_rate: float

@@ -23,15 +23,15 @@ class TrainOptions(Options):
     seed: int | None = None
     """Seed of everything random."""
     checkpoint: str | None = None
-    """Go on from this checkpoint: a folder, or a bundled one's name (`default`)."""
+    """Start from this checkpoint: a folder, or the bundled one (`default`)."""
     device: str = "auto"
     """`auto` (an accelerator if there is one) or `cpu`."""
     resume: bool = True
     """Go on with the run in --out."""
     minutes: float | None = None
-    """Stop after this time, the learning rate falling with it."""
+    """Stop after this time [min]; the learning-rate schedule fits it."""
     cache: Path | None = None
-    """Where prepared clips live; OUT/cache unless given."""
+    """Folder of prepared clips. Default: OUT/cache."""
     threads: int | None = None
     """CPU threads of the network."""
 
@@ -58,41 +58,42 @@ class OutlineOptions(FinderOptions):
     """A training of the outline network."""
 
     thinning: Annotated[int, Field(ge=1), CommandLine(bounded=True)] = 1
-    """Use every so many-th training clip."""
+    """Use every N-th training clip."""
 
 
 class Pretraining(Options):
-    """How a training on falls goes, besides what `TrainConfig` says."""
+    """Settings of a training on falls, in addition to `TrainConfig`."""
 
     steps: Annotated[int, Field(ge=1)] = 3700
-    """Of the optimiser."""
+    """Steps of the optimiser."""
     minutes: float | None = None
-    """Stop after this time, the learning rate falling with it."""
+    """Stop after this time [min]; the learning-rate schedule fits it."""
     drawn: Annotated[int, Field(ge=1)] = 168
-    """Falls of each step."""
+    """Falls in each step."""
     real: Annotated[int, Field(ge=1)] = 24
-    """Clips of data sets of each step."""
+    """Clips of data sets in each step."""
     real_weight: Annotated[float, CommandLine(hidden=True)] = 0.5
-    """Of what is said of their material, which few simulations can teach by heart; not of their states."""
+    """Weight of the material loss of clips of data sets, whose few simulations invite overfitting. The weight of their
+    state loss is 1."""
     report_steps: Annotated[int, CommandLine(hidden=True)] = 200
-    """Between two scores, which are also the states that a run can go on from."""
+    """Steps between two scores; a run resumes from the last of them."""
 
 
 class EvaluationOptions(Options):
-    """Which clips of data sets a checkpoint is evaluated on, and where."""
+    """Clips on which a checkpoint is evaluated, and the device."""
 
     checkpoint: str = "default"
     """Name or folder of a checkpoint."""
     split: Shown = "test"
-    """Which objects; `all` of a data set that nothing was trained on."""
+    """Share of the objects to evaluate; `all` suits a data set that is not used for training."""
     cache: Path | None = None
-    """Where prepared clips live; OUT/cache unless given."""
+    """Folder of prepared clips. Default: OUT/cache."""
     limit: int | None = None
-    """At most this many clips."""
+    """Most clips to evaluate. Default: all."""
     device: str = "cpu"
-    """Device of the network."""
+    """Torch device of the network, such as cpu or cuda."""
     seed: int = 0
-    """Of shuffled times and random bases."""
+    """Seed of shuffled frames and random bases."""
     workers: int = 1
     """Processes that prepare clips."""
 
@@ -101,30 +102,30 @@ class PaperOptions(Options):
     """Sizes of an evaluation on the benchmark."""
 
     max_nodes: int = 500
-    """Most nodes of the models' quadratic meshes."""
+    """Most nodes of the quadratic meshes of the models."""
     fine_nodes: int | None = None
-    """Most nodes of the mesh of refine's last searches; default: as it has them."""
+    """Most nodes of the mesh of the last fits. Default: that of `refine`."""
     steps_per_frame: int | None = None
-    """Of the models. Default: 384 per second."""
+    """Time steps per frame of the models. Default: 384 per second."""
     weights: int = 20
-    """Skinning weights of `refine`."""
+    """Number of skinning weights of `refine`."""
     full_runs: int = 8
-    """Most linearisations of the full model."""
+    """Most linearisations of the full-order model."""
     model_error: bool = True
-    """Add what a finer mesh says."""
+    """Fit a finer model too; its difference corrects the estimates and widens the intervals."""
     adam_steps: int = 400
-    """Of the published way; 0 leaves it out."""
+    """Steps of Adam in the method of the paper; 0 leaves it out."""
     ablation: tuple[int, ...] = (8, 10, 12)
-    """Weights M of the reduced model alone; repeatable."""
+    """Number M of weights of the reduced model alone; repeatable."""
     ablation_points: Annotated[tuple[int, ...], CommandLine("--points")] = (4, 5, 6, 7, 8)
-    """Points K per convex of further fields, of a quarter of the convexes, scored in the refined motion and in those of
-    the ablation over M; repeatable; 0: none."""
+    """Number K of points per convex of additional fields with a quarter of the convexes, scored in the refined motion
+    and in the motions of the ablation over M; 0 leaves them out; repeatable."""
     field_budget: int = 24_000
-    """Most convexes of a field."""
+    """Most convexes of a convex field."""
     field_steps: int = 400
-    """Steps of a field's fit."""
+    """Steps of the fit of a convex field."""
     checkpoint: str = "default"
-    """Name or folder of the network's checkpoint."""
+    """Name or folder of the checkpoint of the network."""
 
     @field_validator("ablation_points")
     @classmethod

@@ -39,19 +39,20 @@ class BankOptions(Options):
     count: Annotated[int, Field(ge=0)] = 16
     """Number of captures."""
     seed: int = 0
-    """Seed of the draws."""
+    """Seed of everything random."""
     effects: Annotated[tuple[str, ...], CommandLine(commas=True)] = ()
-    """Names to draw from, separated by commas; all that the engine knows unless given."""
+    """Effects to draw from, separated by commas. Default: all that the simulator knows."""
     shares: Shares = Shares()
     controls: Annotated[tuple[str, ...], CommandLine(commas=True)] = ()
-    """Controls, one more capture each: density, numerics, camera, noise."""
+    """Controls, each an additional capture: density, numerics, camera, noise; separated by commas."""
     visibilities: Annotated[tuple[float, ...], CommandLine(commas=True)] = (10.0,)
-    """Gap over noise and numerical error, in mean squares, separated by commas; taken in turn. Default: 10."""
+    """Mean square of the gap over that of noise and numerical error, separated by commas; the captures take turns.
+    Default: 10."""
     engine: EngineName = "explicit"
-    """explicit (an engine of its own, doses by visibility) or fem (the full-order model on another mesh, doses by
-    their size)."""
+    """Simulator: explicit (independent, doses scaled to the visibility) or fem (the full-order model on another mesh,
+    doses by size)."""
     workers: Annotated[int, Field(ge=1)] = 1
-    """Processes."""
+    """Worker processes."""
 
 
 def generate_bank(out: Path, seal: Path, options: BankOptions | None = None, *, report: Report = lambda _: None) -> int:

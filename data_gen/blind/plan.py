@@ -46,9 +46,9 @@ class Shares(Options):
     two: float = 0.0
     """Share of captures with two effects."""
     outside: float = 0.0
-    """Share of captures whose effect is in no dictionary."""
+    """Share of captures with an effect outside the dictionary."""
     deleted: float = 0.0
-    """Share of captures whose effect is taken out of the dictionary, with its class."""
+    """Share of captures whose effect is removed from the dictionary, with its class."""
 
 
 def plan_bank(

@@ -21,28 +21,28 @@ _RESULT = "Results"
 @command
 def refine_command(
     *,
-    capture: Annotated[Path, typer.Argument(help="Capture folder with capture.json, rest geometry, tracks or videos.")],
+    capture: Annotated[Path, typer.Argument(help="Capture folder: capture.json, rest shape, and tracks or videos.")],
     out: Annotated[
         Path,
-        typer.Option(help="Folder of the results; finished stages are read again from it.", rich_help_panel=_RESULT),
+        typer.Option(help="Folder of the results; finished stages are reused.", rich_help_panel=_RESULT),
     ] = Path("refinement"),
     options: RefineOptions,
     processes: Annotated[
         int | None,
-        typer.Option(help="Roll-outs made at once; as many as there are cores unless given.", rich_help_panel=_RESULT),
+        typer.Option(help="Number of simulations at once. Default: one per core.", rich_help_panel=_RESULT),
     ] = None,
     pictures: Annotated[bool, typer.Option(help="Write fit.png and side_by_side.mp4.", rich_help_panel=_RESULT)] = True,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print refinement.json to standard output, alone.", rich_help_panel=_RESULT)
+        bool, typer.Option("--json", help="Print only refinement.json, to standard output.", rich_help_panel=_RESULT)
     ] = False,
     no_progress: Annotated[
-        bool, typer.Option("--no-progress", help="Say nothing while it runs.", rich_help_panel=_RESULT)
+        bool, typer.Option("--no-progress", help="Hide progress messages.", rich_help_panel=_RESULT)
     ] = False,
 ) -> None:
-    """Identify E, ν and what else is unknown of a capture with the differentiable simulator, and predict its future.
+    """Estimate E, ν, damping and initial motion of a capture by differentiable simulation, and predict its future.
 
-    Writes refinement.json, trajectory.npz, fit.png, side_by_side.mp4 and run.json. Stop it at any time: the same
-    command goes on after the last finished stage.
+    Writes refinement.json, trajectory.npz, fit.png, side_by_side.mp4 and run.json. It can be stopped at any time; the
+    same command resumes after the last finished stage.
     """
     from inference.refinement.pipeline import refine
     from inference.refinement.result_files import write_refinement

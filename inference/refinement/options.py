@@ -44,73 +44,73 @@ class RefineOptions(Options):
     """Settings of `refine`."""
 
     observations: Annotated[Literal["auto", "tracks", "video", "both"], _SEEN] = "auto"
-    """What is fitted; auto takes marker tracks where there are some, else videos."""
+    """Data to fit; auto takes marker tracks if the capture has them, else videos."""
     cameras: Annotated[tuple[str, ...] | None, CommandLine("--camera", panel=_SEEN.panel)] = None
-    """Use this camera alone; repeatable. Default: all."""
+    """Use only this camera; repeatable. Default: all."""
     outlines: Annotated[bool, _SEEN] = True
-    """Use the masks of videos."""
+    """Fit the outlines of the masks as well."""
     colours: Annotated[bool, _SEEN] = True
-    """Last, compare colours instead of points followed in videos."""
+    """Compare colours of pixels in the last fit, instead of points tracked in videos."""
     exposure: Annotated[bool, _SEEN] = True
-    """Gain and offset of each frame's colours are free."""
+    """Fit gain and offset of the colours of each frame."""
     nuisance: Nuisance = Field(default_factory=Nuisance)
     """Priors of camera pose and time offset; none is free unless given."""
 
     free: Annotated[tuple[str, ...], _UNKNOWN] = ()
-    """Free a parameter, as friction, air_drag, initial_velocity_z; repeatable."""
+    """Fit this parameter too, such as friction, air_drag or initial_velocity_z; repeatable."""
     fixed: Annotated[Mapping[str, float | None], CommandLine("--fix", panel=_UNKNOWN.panel, parse=_held)] = Field(
         default_factory=dict
     )
-    """Hold a parameter: NAME (as the capture has it), or NAME=VALUE, as damping_time=0; repeatable."""
+    """Hold a parameter: NAME (at the value of the capture) or NAME=VALUE, such as damping_time=0; repeatable."""
     priors: Annotated[Mapping[str, tuple[float, float]], CommandLine("--prior", panel=_UNKNOWN.panel, parse=_prior)] = (
         Field(default_factory=dict)
     )
-    """Gaussian prior NAME=MEAN,SIGMA, as poisson_ratio=0.49,0.005; repeatable."""
+    """Gaussian prior NAME=MEAN,SIGMA, such as poisson_ratio=0.49,0.005; repeatable."""
     initial: Annotated[Mapping[str, float], CommandLine(panel=_UNKNOWN.panel, parse=_value)] = Field(
         default_factory=dict
     )
-    """Start at NAME=VALUE, as log10_youngs_modulus=5.2, and do not scan; repeatable."""
+    """Start at NAME=VALUE, such as log10_youngs_modulus=5.2, without a scan; repeatable."""
     start: Annotated[Literal["auto", "predict", "scan"], _UNKNOWN] = "auto"
-    """Where the scan looks: predict (around the network's prediction), scan (everywhere), auto (closely around the
-    prediction and coarsely everywhere else)."""
+    """Range of the scan: predict (around the prediction of the network), scan (everywhere), auto (finely around the
+    prediction, coarsely elsewhere)."""
     checkpoint: Annotated[str, _UNKNOWN] = "default"
-    """Name or folder of the network's checkpoint."""
+    """Name or folder of the checkpoint of the network."""
 
     weights: Annotated[int, Field(ge=1), _MODEL] = 20
-    """Number of skinning weights of the result."""
+    """Number of skinning weights of the reduced model."""
     max_nodes: Annotated[int, Field(ge=30), _MODEL] = 500
     """Most nodes of the quadratic mesh of both models."""
     fine_nodes: Annotated[int | None, Field(ge=0), _MODEL] = None
-    """Most nodes of the mesh of the last searches, of a body that strikes something and whose mesh is made of its
-    surface; max_nodes or fewer: no other mesh; default: 2400, of a soft body 1400."""
+    """Most nodes of the mesh of the last fits. Applies to a body that hits an obstacle and whose mesh is made from its
+    surface. A value up to max_nodes keeps the first mesh. Default: 2400; 1400 for a soft body."""
     steps_per_frame: Annotated[int | None, Field(ge=1), _MODEL] = None
-    """Time steps per frame. Default: 384 per second; by the body's waves where it strikes something."""
+    """Time steps per frame. Default: 384 per second; from the wave speed for a body that hits an obstacle."""
     fill: Annotated[bool, _MODEL] = True
-    """Let mass and energy of a mesh made of the surface be those of the surface's inside."""
+    """Integrate mass and energy over the inside of the surface, not over the mesh that is made from it."""
     correction: Annotated[bool, _MODEL] = True
-    """Remove the reduced model's error with the full model."""
+    """Correct the error of the reduced model with the full-order model."""
     full_runs: Annotated[int, Field(ge=1), _MODEL] = 8
-    """Most states of the full model that the correction tries."""
+    """Most linearisations of the full-order model in the correction."""
     jacobian: Annotated[Literal["full", "reduced"], _MODEL] = "full"
-    """Derivatives of the correction: of the full or reduced model."""
+    """Model that gives the derivatives of the correction."""
     model_error: Annotated[bool, _MODEL] = True
-    """Fit a finer model, and state the error that is left."""
+    """Fit a finer model too; its difference corrects the estimates and widens the intervals."""
     drift: Annotated[bool, _MODEL] = True
-    """Let the recording drift from the model as a rigid body after a contact, where that is likelier."""
+    """Allow a rigid drift between model and recording after a contact, if the data favour it."""
 
     field: Annotated[bool, _RESULT] = True
     """Fit a convex field to the first images and bind it to the body."""
     field_file: Annotated[str | None, _RESULT] = None
-    """A field (PLY) of the body at rest, in place of that."""
+    """Use this convex field (PLY) of the body at rest instead of fitting one."""
     field_budget: Annotated[int, Field(ge=50), CommandLine(hidden=True)] = 6000
-    """Most convexes of the field."""
+    """Most convexes of the convex field."""
     field_steps: Annotated[int, Field(ge=1), _RESULT] = 150
-    """Steps of the field's fit."""
+    """Steps of the fit of the convex field."""
     device: Annotated[str, _RESULT] = "cpu"
-    """Torch device of the network and the field's fit, such as cpu or cuda. Everything else is the processor's."""
+    """Torch device of the network and of the convex field, such as cpu or cuda. The rest runs on the CPU."""
     processes: Annotated[int, Field(ge=1), CommandLine(hidden=True)] = 1
-    """Roll-outs made at once, which changes results by rounding alone. With more than one, a script that calls
-    `refine` needs `if __name__ == "__main__"`, as for all of Python's worker processes."""
+    """Number of simulations at once; it changes results by rounding only. With more than one, a script that calls
+    `refine` needs `if __name__ == "__main__"`, as for all worker processes in Python."""
 
     @field_validator("fixed")
     @classmethod

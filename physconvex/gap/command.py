@@ -17,28 +17,25 @@ from physconvex.io import command
 def diagnose_command(
     capture: Annotated[
         Path,
-        typer.Argument(help="Capture folder: capture.json, rest geometry, tracks or videos.", show_default=False),
+        typer.Argument(help="Capture folder: capture.json, rest shape, and tracks or videos.", show_default=False),
     ],
     options: GapOptions,
     *,
     second_take: Annotated[
-        Path | None, typer.Option(help="Another capture of the same body: the shrinkage is reported there as well.")
+        Path | None,
+        typer.Option(help="Second capture of the same body; the reduction of the gap is reported on it too."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the report.")] = Path("diagnosis"),
-    effects: Annotated[
-        str | None, typer.Option(help="Names of the effects to try, separated by commas. Default: all.")
-    ] = None,
-    without: Annotated[str | None, typer.Option(help="Names of effects to leave out.")] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print report.json to standard output, nothing else.")
-    ] = False,
-    no_progress: Annotated[bool, typer.Option("--no-progress", help="No progress bar.")] = False,
+    effects: Annotated[str | None, typer.Option(help="Effects to test, separated by commas. Default: all.")] = None,
+    without: Annotated[str | None, typer.Option(help="Effects to leave out, separated by commas.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print only report.json, to standard output.")] = False,
+    no_progress: Annotated[bool, typer.Option("--no-progress", help="Hide the progress bar.")] = False,
 ) -> None:
-    """Find where the sim-to-real gap of a capture lies, which effect causes it, and how far it shrinks.
+    """Find where the sim-to-real gap of a capture lies, which effect causes it, and how far that effect reduces it.
 
-    Writes report.json, report.html (open it in a browser) and body.ply into OUT.
+    Writes report.json, report.html and body.ply into OUT. Open report.html in a browser.
 
-    Exit code: 0 diagnosed, 1 the base model could not be simulated, 2 wrong usage or a capture that lacks something.
+    Exit code 0: done. 1: the base model cannot be simulated. 2: wrong usage or an incomplete capture.
     """
     from tqdm import tqdm
 

@@ -1,4 +1,4 @@
-"""Settings of a diagnosis. The defaults are frozen: blind tests run with them."""
+"""Settings of a diagnosis. The blind tests use the defaults."""
 
 from __future__ import annotations
 
@@ -16,44 +16,42 @@ Hidden = Annotated[float, CommandLine(hidden=True)]
 
 
 class GapOptions(Options):
-    """How thoroughly a capture is diagnosed. `physconvex.gap.thresholds` has what the diagnosis decides by."""
+    """Settings of a diagnosis. The thresholds of its decisions are in `physconvex.gap.thresholds`."""
 
     max_nodes: Annotated[int, Field(ge=30)] = 250
-    """Most nodes of the model's quadratic mesh."""
+    """Most nodes of the quadratic mesh of the model."""
     fine_nodes: HiddenCount = 1000
-    """Nodes of the mesh whose difference to the model's is added to every run."""
+    """Nodes of the finer mesh; its difference to the mesh of the model is added to every run."""
     weights: HiddenCount = 8
-    """Skinning weights of the reduced model of the rough fit."""
+    """Skinning weights of the reduced model in the first fit."""
     candidates: Count = 8
-    """Sets of effects that the full-order model decides between. It decides between half as many for a held body,
-    whose runs cost more, and where no gap is open."""
+    """Sets of effects that are refitted with the full-order model. Half as many for a held body or a closed gap."""
     starts: Annotated[tuple[float, ...], CommandLine(hidden=True)] = (1.0, 0.5, 0.25)
-    """Shares of the screened doses at which a fit may begin; the best one is taken."""
+    """Fractions of the screened doses from which a fit may start; the best one is used."""
     iterations: HiddenCount = 9
     """Linearisations of each fit."""
     most_effects: HiddenCount = 3
-    """Most effects that are looked for together."""
+    """Largest number of effects in one set."""
     search_cost: HiddenSeconds = 240.0
-    """Model runs after which the search begins no further fit, in seconds of one core. They are counted, not timed, so
-    that the answer does not depend on what else the machine does."""
+    """Cost of model runs after which the search starts no further fit, in seconds of one core. It is computed from the
+    number of runs, not measured, so the answer does not depend on the load of the machine."""
     decision_cost: HiddenSeconds = 900.0
-    """The same of the full-order fits that decide."""
+    """The same for the full-order fits."""
     deadline: HiddenSeconds = 840.0
-    """Seconds by the clock after which the diagnosis reports what has been found, with a caveat. Only on a slow or busy
-    machine does it come before the costs above."""
+    """Wall-clock time [s] after which the diagnosis reports what it has, with a caveat. Only a slow or busy machine
+    reaches it before the costs above."""
     error_scale: Hidden = 1.0
-    """κ: how much numerical differences widen the noise."""
+    """κ: factor of the numerical differences that are added to the noise."""
     discretisation: Hidden = 2e-3
-    """Numerical error of any model of finite size, relative to the distance the points have moved. It counts where
-    the differences of runs say less."""
+    """Least numerical error of a model, relative to the displacement of the points."""
     detail: Hidden = 0.1
-    """Share of a held body's gap below which what is left does not choose between effects."""
+    """Share of the gap of a held body below which the remainder does not choose between effects."""
     significance: HiddenShare = 0.05
-    """Chance of calling an effect where there is none, over the whole dictionary."""
+    """Probability of naming an effect where there is none, over the whole dictionary."""
     explained: HiddenShare = 0.5
-    """Least share of the held-out gap that a named effect removes; below it the verdict is "unknown"."""
+    """Least reduction of the held-out gap by a named effect; below it the verdict is "unknown"."""
     confidence: HiddenShare = 0.9
-    """Probability that intervals hold the true value."""
+    """Probability that an interval contains the true value."""
     bootstraps: HiddenCount = 400
     """Resamples of blocks of frames."""
     seed: Annotated[int, CommandLine(hidden=True)] = 0

@@ -26,14 +26,14 @@ _Deviation = Annotated[float, Field(ge=0), CommandLine(panel="What was observed"
 
 
 class Nuisance(Options):
-    """Standard deviations of the priors; zero holds a nuisance at zero."""
+    """Standard deviations of the priors; 0 holds a nuisance at zero."""
 
     camera_rotation: _Deviation = 0.0
-    """Free each camera's rotation about each of its axes, with this prior standard deviation [rad]."""
+    """Fit the rotation of each camera about its axes, with this prior standard deviation [rad]; 0 holds it."""
     camera_position: _Deviation = 0.0
-    """Free each camera's position along each axis, with this prior standard deviation [m]."""
+    """Fit the position of each camera, with this prior standard deviation [m]; 0 holds it."""
     time_offset: _Deviation = 0.0
-    """Free the time of all frames after the first, with this prior standard deviation [s]."""
+    """Fit a common time offset of all frames after the first, with this prior standard deviation [s]; 0 holds it."""
 
     @property
     def any(self) -> bool:

@@ -16,45 +16,48 @@ def simulate_command(
         list[Path],
         typer.Argument(
             help="Mesh file of a closed surface, z up (glTF: y up); PLY file of a convex field; or folder of "
-            "`physconvex refine`. Several are played together, each dropped on the one before it.",
+            "`physconvex refine`. Several assets fall one on the other, in this order.",
             show_default=False,
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Folder of the results; it is made.")] = Path("simulation"),
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("simulation"),
     preset: Annotated[
         str | None,
-        typer.Option(help="stiff, soft, plasticine, sand, push or moving_floor, or a YAML file of the same form."),
+        typer.Option(help="Preset (stiff, soft, plasticine, sand, push, moving_floor) or YAML file."),
     ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
             "--set",
-            help="Override, as material.youngs_modulus=3.0e4 or floor.velocity=[1,0,0]; for the second asset alone as "
-            "2:material.density=500; repeatable.",
+            help="Change a setting, such as material.youngs_modulus=3.0e4 or floor.velocity=[1,0,0]; "
+            "2:material.density=500 changes it for the second asset only; repeatable.",
         ),
     ] = None,
-    youngs_modulus: Annotated[float | None, typer.Option(help="E [Pa].")] = None,
-    poisson_ratio: Annotated[float | None, typer.Option(help="ν.")] = None,
+    youngs_modulus: Annotated[float | None, typer.Option(help="Young's modulus [Pa].")] = None,
+    poisson_ratio: Annotated[float | None, typer.Option(help="Poisson's ratio.")] = None,
     density: Annotated[float | None, typer.Option(help="Density [kg/m³].")] = None,
-    size: Annotated[float | None, typer.Option(help="Largest edge of the object [m]. Default: as in the file.")] = None,
-    drop_height: Annotated[float | None, typer.Option(help="Lowest point over the floor at the start [m].")] = None,
-    orientation: Annotated[
-        tuple[float, float, float] | None, typer.Option(help="Turns about x, then y, then z [degrees].")
+    size: Annotated[
+        float | None, typer.Option(help="Longest edge of the object [m]. Default: that of the file.")
     ] = None,
-    basis: Annotated[str | None, typer.Option(help="Skinning weights: eigenmodes, elastic or neural.")] = None,
-    modes: Annotated[int | None, typer.Option(help="Number of skinning weights beside the constant one.")] = None,
-    frames: Annotated[int | None, typer.Option(help="Frames, the first at t = 0.")] = None,
+    drop_height: Annotated[
+        float | None, typer.Option(help="Initial height of the lowest point above the floor [m].")
+    ] = None,
+    orientation: Annotated[
+        tuple[float, float, float] | None, typer.Option(help="Initial rotations about x, then y, then z [degrees].")
+    ] = None,
+    basis: Annotated[str | None, typer.Option(help="Kind of skinning weights: eigenmodes, elastic or neural.")] = None,
+    modes: Annotated[int | None, typer.Option(help="Number of skinning weights, without the constant one.")] = None,
+    frames: Annotated[int | None, typer.Option(help="Number of frames; the first is at t = 0.")] = None,
     fps: Annotated[float | None, typer.Option(help="Frames per second [1/s].")] = None,
     ply: Annotated[bool, typer.Option(help="Write one PLY file per frame.")] = True,
     glb: Annotated[bool, typer.Option(help="Write animation.glb, for any glTF viewer.")] = True,
-    video: Annotated[bool, typer.Option(help="Render video.mp4 (needs OpenGL, no display).")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")] = False,
+    video: Annotated[bool, typer.Option(help="Render video.mp4; needs OpenGL, but no display.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print only the summary, as JSON.")] = False,
     progress: Annotated[bool, typer.Option(help="Show a progress bar.")] = True,
 ) -> None:
-    """Play objects: drop, push or shake bodies of any material, one or several, and write their motion.
+    """Simulate bodies of any material that fall, are pushed or are shaken, and write their motion.
 
-    Writes trajectory.npz, frames/*.ply, animation.glb, video.mp4 (with --video) and simulation.json (configuration,
-    version, summary).
+    Writes trajectory.npz, frames/*.ply, animation.glb, simulation.json and, with --video, video.mp4.
     """
     from tqdm import tqdm
 

@@ -11,16 +11,20 @@ import typer
 
 
 def film_command(
-    field: Annotated[Path, typer.Argument(help="field.ply, or a folder with it or with one per frame.")],
+    field: Annotated[Path, typer.Argument(help="File field.ply, or a folder with it or with one PLY file per frame.")],
     *,
-    out: Annotated[Path, typer.Option(help="film.mp4, or picture.png for the first frame.")] = Path("film.mp4"),
-    size: Annotated[int, typer.Option(help="Edge of the pictures [pixels], even.", min=16)] = 448,
-    frames: Annotated[int, typer.Option(help="Frames once round a field that does not move.", min=1)] = 48,
+    out: Annotated[Path, typer.Option(help="Video file (.mp4), or picture file (.png) of the first frame.")] = Path(
+        "film.mp4"
+    ),
+    size: Annotated[int, typer.Option(help="Width and height of the pictures [pixels]; an even number.", min=16)] = 448,
+    frames: Annotated[
+        int, typer.Option(help="Frames of one turn of the camera, if the field does not move.", min=1)
+    ] = 48,
     fps: Annotated[float, typer.Option(help="Frames per second.")] = 24.0,
-    elevation: Annotated[float, typer.Option(help="Of the camera above the horizon [degrees].")] = 20.0,
-    no_progress: Annotated[bool, typer.Option("--no-progress", help="No progress bar.")] = False,
+    elevation: Annotated[float, typer.Option(help="Elevation of the camera above the horizon [degrees].")] = 20.0,
+    no_progress: Annotated[bool, typer.Option("--no-progress", help="Hide the progress bar.")] = False,
 ) -> None:
-    """Draw a convex field seen from all round, or one that moves, as a film or a picture."""
+    """Render a convex field as a film or a picture: a turntable, or the motion of a moving field."""
     from PIL import Image
     from tqdm import tqdm
 
@@ -46,12 +50,12 @@ def film_command(
 
 
 def view_command(
-    field: Annotated[Path, typer.Argument(help="field.ply, or a folder with it or with one per frame.")],
-    host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 lets other machines in.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port; the next free one if it is taken.")] = 8080,
+    field: Annotated[Path, typer.Argument(help="File field.ply, or a folder with it or with one PLY file per frame.")],
+    host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 accepts other machines.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port; if it is taken, the next free one.")] = 8080,
     size: Annotated[int, typer.Option(help="Longest edge of the pictures [pixels].", min=16)] = 720,
 ) -> None:
-    """Look at a convex field in the browser, until stopped with Ctrl-C."""
+    """Show a convex field in the browser until Ctrl-C."""
     from physconvex.render.viewer import FieldViewer, read_fields
 
     viewer = FieldViewer(read_fields(field), host=host, port=port, size=size)

@@ -70,4 +70,4 @@ def test_all_groups_go_into_the_report_and_the_docs():
     told = json.loads(json.dumps(thresholds_json()))
     assert len(told) == len(GROUPS) and told["verdict"]["clear"] == VERDICT.clear
     assert sum(map(len, told.values())) == sum(len(fields(group)) for group in GROUPS)
-    assert "| verdict | `clear` | 4.0 | nats | a gain that makes a call |" in thresholds_table()
+    assert "| verdict | `clear` | 4.0 | nats | a gain that names an effect |" in thresholds_table()

@@ -1,1 +1,1 @@
-"""Blind tests of the diagnosis: captures with sealed labels, answers, score."""
+"""Test the diagnosis blindly: captures with sealed labels, answers, scores."""

@@ -1,4 +1,4 @@
-"""Blind tests of the diagnosis: captures with sealed labels, answers, score."""
+"""Test the diagnosis blindly: captures with sealed labels, answers, scores."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class ScoreFiles(Options):
     """Where a score is written."""
 
     out: Path = Path("gap_score.json")
-    """File of the result (JSON)."""
+    """JSON file of the result."""
     tables: Path | None = None
-    """File of the result to read (Markdown)."""
+    """Markdown file of the result."""
     figure: Path | None = None
-    """Picture: confusion, reliability, visibility."""
+    """Figure file: confusion, reliability, visibility."""
 
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, help=__doc__)
@@ -37,10 +37,10 @@ def generate(
     *,
     out: Annotated[Path, typer.Option(help="New folder of the captures.", show_default=False)],
     seal: Annotated[
-        Path, typer.Option(help="New file of the labels; keep it from whoever diagnoses.", show_default=False)
+        Path, typer.Option(help="New file of the labels; the diagnosis must not read it.", show_default=False)
     ],
 ) -> None:
-    """Simulate marker captures with hidden effects; publish the labels' hash only. Goes on where it stopped."""
+    """Simulate marker captures with hidden effects, and publish only the hash of the labels. Resumes."""
     with _advancing(options.count) as report:
         count = generate_bank(out, seal, options, report=report)
     typer.echo(f"{count} captures in {out}; labels in {seal}")
@@ -51,11 +51,11 @@ def diagnose_blindly(
     captures: Annotated[Path, typer.Option(help="Folder of the captures.")],
     out: Annotated[Path, typer.Option(help="Folder of the reports and of answers.json.")],
     without: Annotated[
-        str | None, typer.Option(help="Effects that are taken out of the dictionary, separated by commas.")
+        str | None, typer.Option(help="Effects to remove from the dictionary, separated by commas.")
     ] = None,
-    workers: Annotated[int, typer.Option(help="Processes, of one capture each.")] = 1,
+    workers: Annotated[int, typer.Option(help="Worker processes; each diagnoses one capture at a time.")] = 1,
 ) -> None:
-    """Diagnose every capture with the default settings; goes on where it stopped."""
+    """Diagnose every capture with the default settings. Resumes."""
     from train.blind.answers import diagnose_bank
 
     names = [] if without is None else [n.strip() for n in without.split(",")]
@@ -68,13 +68,13 @@ def diagnose_blindly(
 @command
 def score_answers(
     *,
-    captures: Annotated[list[Path], typer.Option(help="Folder of the captures; several banks are counted together.")],
-    seal: Annotated[list[Path], typer.Option(help="File of the labels, of each bank.")],
-    answers: Annotated[list[Path], typer.Option(help="answers.json, of each bank.")],
-    oracle: Annotated[list[Path] | None, typer.Option(help="Folder of `oracle`, of each bank.")] = None,
+    captures: Annotated[list[Path], typer.Option(help="Folder of the captures; repeatable, one per bank.")],
+    seal: Annotated[list[Path], typer.Option(help="File of the labels; repeatable, one per bank.")],
+    answers: Annotated[list[Path], typer.Option(help="File answers.json; repeatable, one per bank.")],
+    oracle: Annotated[list[Path] | None, typer.Option(help="Folder of `oracle`; repeatable, one per bank.")] = None,
     files: ScoreFiles,
 ) -> None:
-    """Open the seals and score the answers."""
+    """Open the seals and score the answers of one or several banks."""
     from physconvex import InputError
     from train.blind.scoring import Bank, score_banks
 
@@ -90,10 +90,10 @@ def score_answers(
 @app.command()
 @command
 def pool(
-    results: Annotated[list[Path], typer.Argument(help="Files that `score` wrote, one of each bank.")],
+    results: Annotated[list[Path], typer.Argument(help="JSON files written by `score`, one per bank.")],
     files: ScoreFiles,
 ) -> None:
-    """Count the captures of banks that were scored before together."""
+    """Combine stored scores of several banks."""
     from train.blind.pooling import pool_scores
 
     _write(pool_scores(results), files)
@@ -129,11 +129,11 @@ def _advancing(total: int | None = None) -> Iterator[Callable[[str], None]]:
 def oracle(
     captures: Annotated[Path, typer.Option(help="Folder of the captures.")],
     seal: Annotated[Path, typer.Option(help="File of the labels.")],
-    answers: Annotated[Path, typer.Option(help="answers.json, hashed before the seal is opened.")],
+    answers: Annotated[Path, typer.Option(help="File answers.json; it is hashed before the seal is opened.")],
     out: Annotated[Path, typer.Option(help="Folder of the results.")],
-    workers: Annotated[int, typer.Option(help="Processes, of one capture each.")] = 1,
+    workers: Annotated[int, typer.Option(help="Worker processes; each diagnoses one capture at a time.")] = 1,
 ) -> None:
-    """Open the seal and diagnose each visible single effect with that effect alone; goes on where it stopped."""
+    """Open the seal and fit each visible single effect alone. Resumes."""
     from train.blind.oracle import run_oracle
     from train.blind.scoring import Bank
 

@@ -18,19 +18,19 @@ from train.options import PaperOptions
 def paper_command(
     *,
     benchmark: Annotated[Path, typer.Argument(help="Folder of `physconvex generate benchmark`.")],
-    out: Annotated[Path, typer.Option(help="Folder of the results; finished parts are kept.")] = Path("paper"),
-    name: Annotated[list[str] | None, typer.Option(help="Work on this object; repeatable. Default: all.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the results; finished parts are reused.")] = Path("paper"),
+    name: Annotated[list[str] | None, typer.Option(help="Evaluate only this object; repeatable. Default: all.")] = None,
     comparisons: Annotated[
-        bool, typer.Option(help="Also the published way and the parts over M and K, which come last.")
+        bool, typer.Option(help="Also run the method of the paper and the ablations over M and K.")
     ] = True,
     options: PaperOptions,
-    no_progress: Annotated[bool, typer.Option("--no-progress", help="Say nothing while it runs.")] = False,
+    no_progress: Annotated[bool, typer.Option("--no-progress", help="Hide progress messages.")] = False,
 ) -> None:
-    """Identification, dynamic reconstruction, future prediction, generalisation and ablation over a benchmark.
+    """Print the tables of the paper: identification, images, future, generalisation and ablations.
 
-    Beside a constant guess, the network alone, and the published way of fitting, run here. Writes tables.md,
-    paper.json and objects/NAME.json. Stop it at any time: the same command goes on after the last finished part, with
-    the objects whose truth is there by then.
+    Baselines: a constant guess, the network alone, and the method of the paper. Writes tables.md, paper.json and
+    objects/NAME.json. It can be stopped at any time; the same command resumes after the last finished part. It
+    evaluates the objects that `generate benchmark` has finished.
     """
 
     from train.paper.evaluation import evaluate_paper
