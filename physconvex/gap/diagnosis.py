@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 import physconvex
 from physconvex.errors import ConvergenceError
 from physconvex.gap.base.base_fit import fit_baseline
-from physconvex.gap.base.baseline import Baseline, shortened
+from physconvex.gap.base.baseline import Baseline, Report, shortened
 from physconvex.gap.base.cost import Cost
 from physconvex.gap.base.observed_points import lost_points
 from physconvex.gap.base.rough_fit import rough_baseline
@@ -27,7 +27,7 @@ from physconvex.gap.errors.numerical_differences import (
     correction_of,
     numerical_differences,
     with_absorbed_mesh,
-)
+)  # fmt: skip
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.errors.screening import Screening, screen
 from physconvex.gap.judgement.caveats import next_experiment
@@ -44,12 +44,11 @@ from physconvex.gap.search.full_order import as_reduced
 from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis
 from physconvex.gap.search.search_state import FAILURES
 from physconvex.gap.search.selection import select_effects
-from physconvex.gap.shrinkage import HowFar, gap_squares, held_out_views, second_take_shrinkage, shrinkage_on
+from physconvex.gap.shrinkage import HowFar, held_out_views, second_take_shrinkage, shrinkage_on
 from physconvex.gap.thresholds import BASE_FIT, CLOCK, NUMERICAL_ERROR, RUN_COST, SCREENING
 from physconvex.io import Capture, load_capture
 from physconvex.mesh import TetMesh
 
-Report = Callable[[str], None]
 _CUT = (
     "The search was cut short after the {:.0f} seconds that it is given: this is the best of what had been found. A "
     "faster machine, or one with less else to do, might find more."
@@ -122,15 +121,15 @@ def diagnose(
     if other is not None:
         again = second_take_shrinkage(base, best, other, options, report)
         shrinkage = (*shrinkage, *(() if again is None else (again,)))
-    verdict = replace(verdict, caveats=(*verdict.caveats, *lost_points(base.observations)))
     report("pictures")
     pictures = image_findings(base, dictionary, options)
     verdict = with_pictures(verdict, pictures)
+    caveats = [*verdict.caveats, *lost_points(base.observations)]
     if cost.cut:
-        verdict = replace(verdict, caveats=(*verdict.caveats, _CUT.format(options.deadline)))
+        caveats.append(_CUT.format(options.deadline))
     if capture.frames == BASE_FIT.most_frames:
-        shorter = f"At most the first {BASE_FIT.most_frames} frames were used."
-        verdict = replace(verdict, caveats=(*verdict.caveats, shorter))
+        caveats.append(f"At most the first {BASE_FIT.most_frames} frames were used.")
+    verdict = replace(verdict, caveats=tuple(caveats))
     report("report")
     return GapReport(
         where=locate_gap(base, errors, best, options),
@@ -186,32 +185,28 @@ def _trusted(
 
 def _with_directions(base: Baseline, numerics: Numerics) -> Baseline:
     """The effects, with the motions of the numerical ones."""
-    directions = {
-        "time_step": numerics.implicit_euler,
-        "mesh_resolution": numerics.mesh,
-        "reduction": numerics.reduction,
-    }
-    return replace(base, model=replace(base.model, directions=directions))
+    return replace(base, model=replace(base.model, directions=numerics.directions))
 
 
 def _placebo(
     base: Baseline, errors: ErrorModel, screening: Screening, best: Hypothesis, options: GapOptions
 ) -> Hypothesis | None:
     """A fit of the effect with the lowest score among the visible ones."""
-    others = [
-        entry
-        for entry in reversed(screening.one_per_name)
-        if entry.effect.name not in best.names
-        and entry.effect.source != "numerical"
-        and max(
-            (screening.similarity(entry, own) for own in screening.ranked if own.effect in best.effects), default=0.0
-        )
-        < SCREENING.same_as_placebo
-    ]
-    if not others:
+    own = [entry for entry in screening.ranked if entry.effect in best.effects]
+    other = next(
+        (
+            entry
+            for entry in reversed(screening.one_per_name)
+            if entry.effect.name not in best.names
+            and entry.effect.source != "numerical"
+            and all(screening.similarity(entry, one) < SCREENING.same_as_placebo for one in own)
+        ),
+        None,
+    )
+    if other is None:
         return None
     try:
-        return fit_effects(as_reduced(base), errors, others[:1], options)
+        return fit_effects(as_reduced(base), errors, [other], options)
     except FAILURES:
         return None
 
@@ -225,17 +220,12 @@ def _shrinkages(
     other = None if placebo is None else (placebo.label, placebo.positions)
     return tuple(
         shrinkage_on(
-            base,
-            errors,
-            best.positions,
-            placebo=other,
-            frames=np.unique(frames),
-            data=f"{data}, {frames.min()} to {frames.max()}",
-            options=options,
+            base, errors, best.positions, placebo=other, frames=np.unique(frames),
+            data=f"{data}, {frames.min()} to {frames.max()}", options=options,
         )
         for frames, data in pairs
-        if len(gap_squares(base, base.positions, frames))
-    )
+        if len(frames)
+    )  # fmt: skip
 
 
 def _provenance(base: Baseline, numerics: Numerics, screening: Screening, seconds: float) -> Provenance:
@@ -246,9 +236,9 @@ def _provenance(base: Baseline, numerics: Numerics, screening: Screening, second
         nodes=numerics.nodes[1],
         steps_per_frame=steps,
         numerical_viscosity=base.situation.youngs_modulus / (base.capture.fps * steps),
-        fitted=tuple(int(f) for f in split.fitted),
-        selecting=tuple(int(f) for f in split.selecting),
-        reporting=tuple(int(f) for f in split.reporting),
+        fitted=tuple(split.fitted.tolist()),
+        selecting=tuple(split.selecting.tolist()),
+        reporting=tuple(split.reporting.tolist()),
         simulations_failed=(*numerics.failed, *screening.failed),
         seconds=seconds,
     )

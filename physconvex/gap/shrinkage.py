@@ -6,6 +6,7 @@ second recording of the same body, only the initial motion is fitted.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -15,6 +16,7 @@ from jaxtyping import Float
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline, Report
 from physconvex.gap.base.body_modes import undivided
+from physconvex.gap.base.model import MODULUS, RATIO
 from physconvex.gap.base.observed_points import followed
 from physconvex.gap.base.rough_fit import rough_baseline
 from physconvex.gap.conditions.setting import find_setting
@@ -22,6 +24,7 @@ from physconvex.gap.effects.effect import Effect
 from physconvex.gap.effects.motion import PointMotion
 from physconvex.gap.errors.numerical_differences import other_mesh
 from physconvex.gap.errors.score_test import ErrorModel
+from physconvex.gap.location.sources import squares_by_frame
 from physconvex.gap.location.where import block_bootstrap
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
@@ -30,7 +33,7 @@ from physconvex.io import Capture
 
 Positions = Float[np.ndarray, "T P 3"]
 _OF_ONE_CAMERA = ("camera_pose", "focal_length", "lens_distortion", "rolling_shutter")
-_MATERIAL = ("log10_youngs_modulus", "poisson_ratio", *FLOOR_LAW)
+_MATERIAL = (MODULUS, RATIO, *FLOOR_LAW)
 
 
 @dataclass(frozen=True)
@@ -66,31 +69,6 @@ class HowFar:
         return float(_share(*squares))
 
 
-def gap_squares(base: Baseline, positions: Positions, frames: np.ndarray) -> Float[np.ndarray, " n"]:
-    """Mean square distance between model and observation in some frames [m²], shape [n]."""
-    rows = base.rows(frames)
-    observations = base.observations
-    at = observations.frames[rows]
-    squares = base.missed(positions)[rows] ** 2
-    total = np.bincount(at, squares, minlength=base.model.frames)
-    count = np.bincount(at, minlength=base.model.frames)
-    return np.asarray(base.components * total[frames] / np.maximum(count[frames], 1))
-
-
-def _floor(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Expected squares from noise alone, and from noise with numerical error [m²]."""
-    rows = base.rows(frames)
-    observations = base.observations
-    at = observations.frames[rows]
-    noise = base.lengths[rows] ** 2
-    count = np.maximum(np.bincount(at, minlength=base.model.frames), 1)
-    both = [
-        base.components * np.bincount(at, square, minlength=base.model.frames)[frames] / count[frames]
-        for square in (noise, noise * errors.expected[rows])
-    ]
-    return both[0], both[1]
-
-
 def _share(before: np.ndarray, after: np.ndarray, floor: np.ndarray) -> np.ndarray:
     """1 − (after − floor)/(before − floor) of mean squares; values below the floor count as the floor."""
     open_gap = np.maximum(before - floor, 1e-3 * np.maximum(before, 1e-300))
@@ -98,35 +76,31 @@ def _share(before: np.ndarray, after: np.ndarray, floor: np.ndarray) -> np.ndarr
 
 
 def shrinkage_on(
-    base: Baseline,
-    errors: ErrorModel,
-    improved: Positions,
-    *,
-    placebo: tuple[str, Positions] | None,
-    frames: np.ndarray,
-    data: str,
-    options: GapOptions,
-) -> HowFar:
+    base: Baseline, errors: ErrorModel, improved: Positions, *, placebo: tuple[str, Positions] | None,
+    frames: np.ndarray, data: str, options: GapOptions,
+) -> HowFar:  # fmt: skip
     """Shrinkage in some frames. Noise is subtracted; the reported floor includes numerical error.
 
     Args:
-        base: the observations and the base model's predictions.
-        errors: errors of the residuals.
+        base, errors: the observations and the base model's predictions, and errors of the residuals.
         improved: observed positions with the effects [m].
         placebo: name of another effect, and observed positions with it [m].
-        frames: frames of the measurement.
-        data: their name.
+        frames, data: frames of the measurement, which all show something, and their name.
         options: settings.
     """
-    before, after = gap_squares(base, base.positions, frames), gap_squares(base, improved, frames)
-    noise, floor = _floor(base, errors, frames)
+
+    def squares(positions: Positions) -> Float[np.ndarray, " n"]:
+        return squares_by_frame(base, base.missed(positions) ** 2)[frames]
+
+    before, after = squares(base.positions), squares(improved)
+    noise, floor = (squares_by_frame(base, base.lengths**2 * size)[frames] for size in (1.0, errors.expected))
     draws = block_bootstrap(np.stack([before, after, noise], axis=1), 3, options)
     tail = (1 - options.confidence) / 2
     low, high = np.quantile(_share(draws[:, 0], draws[:, 1], draws[:, 2]), [tail, 1 - tail])
     share = float(_share(before.mean(), after.mean(), noise.mean()))
     other = float("nan")
     if placebo is not None:
-        other = float(_share(before.mean(), gap_squares(base, placebo[1], frames).mean(), noise.mean()))
+        other = float(_share(before.mean(), squares(placebo[1]).mean(), noise.mean()))
     return HowFar(
         data=data,
         gap_before=float(np.sqrt(before.mean())),
@@ -147,16 +121,8 @@ def held_out_views(
     """Shrinkage in all frames of each further camera whose video has trackable points.
 
     Every model runs once more for the points of the other cameras. An error of the fitted camera does not appear in
-    another view and is left out there.
-
-    Args:
-        base: base fit to the markers, or to the first camera.
-        best: the best fit with effects.
-        placebo: a fit of an absent effect.
-        options: settings.
-
-    Returns:
-        One per view; none if the models cannot be run, or if the best effects are numerical or errors of one camera.
+    another view and is left out there. None if the models cannot be run, or if the best effects are numerical or errors
+    of one camera.
     """
     views = _other_views(base)
     if not views or not _kept(best):
@@ -174,17 +140,11 @@ def held_out_views(
         motion = PointMotion(view.points, base.motion.times, plain[:, part], np.zeros_like(plain[:, part]))
         model = replace(base.model, points=view.points, correction=None, directions={}, camera=view.camera)
         seen = replace(base, observations=view, model=model, motion=motion, modes=undivided(view.frames))
-        found.append(
-            shrinkage_on(
-                seen,
-                ErrorModel.of_noise(len(view.frames)),
-                improved[:, part],
-                placebo=None if other is None else (other[0], other[1][:, part]),
-                frames=np.unique(view.frames),
-                data=f"held-out view {view.camera.name}, all frames",
-                options=options,
-            )
-        )
+        found.append(shrinkage_on(
+            seen, ErrorModel.of_noise(len(view.frames)), improved[:, part],
+            placebo=None if other is None else (other[0], other[1][:, part]), frames=np.unique(view.frames),
+            data=f"held-out view {view.camera.name}, all frames", options=options,
+        ))  # fmt: skip
     return tuple(found)
 
 
@@ -193,12 +153,9 @@ def _other_views(base: Baseline) -> list[PixelObservations]:
     seen, views = base.observations, []
     fitted = seen.camera.name if isinstance(seen, PixelObservations) else None
     for camera in base.capture.cameras:
-        if camera.name == fitted:
-            continue
-        try:
-            views.append(followed(base.capture, camera, base.model.twin))
-        except InputError:  # no video, or nothing to track in it; the diagnosis does not need it
-            continue
+        if camera.name != fitted:
+            with suppress(InputError):  # no video, or nothing to track in it; the diagnosis does not need it
+                views.append(followed(base.capture, camera, base.model.twin))
     return views
 
 
@@ -226,15 +183,8 @@ def second_take_shrinkage(
 ) -> HowFar | None:
     """Shrinkage on another take: E, ν and doses from the first, the unstated initial motion from the second's start.
 
-    Args:
-        base: base fit of the first take.
-        best: its best fit with effects.
-        take: the second capture.
-        options: settings.
-        report: receives progress messages.
-
-    Returns:
-        None if one of the two models cannot be run on it.
+    `base` and `best` are the base fit and the best fit of the first take. None if one of the two models cannot be run
+    on the second.
 
     Raises:
         InputError: the take lacks something, or an effect of the fit makes no sense there (no floor, not held).
@@ -251,9 +201,8 @@ def second_take_shrinkage(
     own = _as_fine(own, base, options)
     try:
         plain = _with_material(own, base.fit.values, base.model.base)
-        values = np.concatenate([_with_material(own, best.values, best.model.base).fit.values, *(
-            best.doses(effect)[0] for effect in best.effects
-        )])  # fmt: skip
+        material = _with_material(own, best.values, best.model.base).fit.values
+        values = np.concatenate([material, *(best.doses(effect)[0] for effect in best.effects)])
         model = replace(own.model, effects=best.effects)
         plain = replace(plain, motion=plain.model.motion(plain.fit.values))
         improved = model.positions(values)

@@ -39,7 +39,7 @@ def starts(monkeypatch):
     """Fits by the ν that they begin at: from .49 one that ends there, from .31 another."""
     asked = []
 
-    def run_base(capture, observations, split, twin, found, cost):
+    def run_again(rough, found):
         return fitted(found.values, None)
 
     def fit_from(rough, *rest, **named):
@@ -47,7 +47,7 @@ def starts(monkeypatch):
         return ends[asked[-1]]
 
     ends = {}
-    monkeypatch.setattr(base_fit, "run_base", run_base)
+    monkeypatch.setattr(base_fit, "run_again", run_again)
     monkeypatch.setattr(base_fit, "_fit_from", fit_from)
     monkeypatch.setattr(base_fit, "misfit_of_base", lambda base, variance: base.misfit)
     return asked, ends
@@ -76,6 +76,6 @@ def test_a_start_that_cannot_be_simulated_is_left(starts, monkeypatch):
     def fails(*a, **k):
         raise ConvergenceError("no")
 
-    monkeypatch.setattr(base_fit, "run_base", fails)
+    monkeypatch.setattr(base_fit, "run_again", fails)
     found = base_fit.fit_baseline(fitted([4.637, 0.491], None), None, None, None, options=None, report=None)
     assert found.misfit == 0.617 and len(asked) == 1

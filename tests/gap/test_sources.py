@@ -77,9 +77,7 @@ def drop(rng):
 
 
 def parts(budget):
-    return [float(np.nanmean(x)) for x in (
-        budget.noise, budget.numerical, budget.geometry, budget.observation, budget.dynamics, budget.unexplained
-    )]  # fmt: skip
+    return [float(np.nanmean(squares)) for squares in budget.values()]
 
 
 def test_each_effect_goes_to_its_source_and_all_adds_up(drop, rng):

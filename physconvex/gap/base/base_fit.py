@@ -10,18 +10,13 @@ from jaxtyping import Float
 from physconvex.errors import ConvergenceError
 from physconvex.gap.base.baseline import Baseline, Report
 from physconvex.gap.base.body_modes import temperature
-from physconvex.gap.base.model import reduced_like
-from physconvex.gap.base.rough_fit import run_base
+from physconvex.gap.base.model import RATIO, reduced_like
+from physconvex.gap.base.rough_fit import run_again
 from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import BASE_FIT
-from physconvex.identify import (
-    FitOptions,
-    fit,
-)
+from physconvex.identify import FitOptions, fit
 from physconvex.mesh import TetMesh
-
-_RATIO = "poisson_ratio"
 
 
 def fit_baseline(
@@ -44,24 +39,19 @@ def fit_baseline(
         correction: see `EffectModel`.
         fine: a finer mesh for the full-order model, and its motion at the rough fit.
         variance: variance of the residuals in units of the stated noise, all frames; unpredictable frames count less.
-        options: settings.
-        report: receives progress messages.
+        options, report: settings, and what receives progress messages.
     """
     first = _fit_from(rough, correction, fine, variance, options=options, report=report)
     names = first.model.base
-    if rough.situation.clamped or _RATIO not in names or first.model.cost.over:
+    if rough.situation.clamped or RATIO not in names or first.model.cost.over:
         return first
-    at = names.index(_RATIO)
+    at = names.index(RATIO)
     if BASE_FIT.usual_poisson_ratio[0] <= first.fit.values[at] <= BASE_FIT.usual_poisson_ratio[1]:
         return first
     values = rough.fit.values.copy()
     values[at] = float(np.mean(BASE_FIT.usual_poisson_ratio))
-    twin = rough.model.twin.with_values(names, values)
     try:
-        start = run_base(
-            rough.capture, rough.observations, rough.split, twin, replace(rough.fit, values=values),
-            cost=rough.model.cost,
-        )  # fmt: skip
+        start = run_again(rough, replace(rough.fit, values=values))
         if fine is not None:
             fine = (fine[0], replace(start.model, mesh=fine[0]).motion(values))
         other = _fit_from(start, correction, fine, variance, options=options, report=report)
@@ -80,8 +70,7 @@ def _fit_from(
     report: Report,
 ) -> Baseline:
     """Fit from one start."""
-    split, names = rough.split, rough.model.base
-    count = split.end
+    count = rough.split.end
     weighted = rough.weighted(variance, count)
     stop = FitOptions(max_iterations=options.iterations + 3, relative_tolerance=1e-3, absolute_tolerance=0.05)
     mesh, motion = (None, rough.motion) if fine is None else fine
@@ -99,8 +88,7 @@ def _fit_from(
         found = fit(secant, weighted, shorter.parameters(here.fit.values), options=stop)
         if np.abs((found.values - here.fit.values) / scales).max() < BASE_FIT.still:
             return replace(here, fit=found) if here is best else best
-        twin = rough.model.twin.with_values(names, found.values)
-        here = run_base(rough.capture, rough.observations, split, twin, found, mesh=mesh, cost=here.model.cost)
+        here = run_again(rough, found, mesh=mesh)
         stiffer = rough.model.surrogate_stiffer
         here = replace(here, model=replace(here.model, correction=correction, surrogate_stiffer=stiffer))
         misfit = misfit_of_base(here, variance)

@@ -19,10 +19,8 @@ from physconvex.identify import Fit, Observations, Twin
 from physconvex.io import Boundary, Capture, Tracks
 
 Report = Callable[[str], None]
-FLOOR_LAW: tuple[str, str] = (
-    "log10_contact_stiffness",
-    "contact_damping",
-)  # added to the base parameters if the floor gives way
+# added to the base parameters if the floor gives way
+FLOOR_LAW: tuple[str, str] = ("log10_contact_stiffness", "contact_damping")
 
 
 @dataclass(frozen=True, eq=False)

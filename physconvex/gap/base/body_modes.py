@@ -22,7 +22,7 @@ Computations, §5.1.7).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import combinations_with_replacement, pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -137,20 +137,16 @@ def body_modes(
         found = np.repeat([_RIGID, _STRAIN], 6)
         kinds[start:stop] = _REST
         kinds[start : start + 12] = np.where(np.abs(np.diag(packed.T[:12])) > _DEPENDENT, found, _REST)
+    freedom = NUMERICAL_ERROR.freedom
     if force is None or not reflections:
-        return BodyModes(frames, kinds, NUMERICAL_ERROR.freedom, tuple(reflections))
+        return BodyModes(frames, kinds, freedom, tuple(reflections))
     struck = (np.cumsum(force > 0) > 0)[frames]
     kinds += _PARTS * struck
-    if normal is None:
-        return BodyModes(frames, kinds, NUMERICAL_ERROR.freedom, tuple(reflections), _touching(force))
-    across = np.concatenate([[where.start, where.start + 1] for where, *_ in reflections])
-    kinds[across[struck[across]]] = 2 * _PARTS
-    freedom = (
-        *NUMERICAL_ERROR.freedom[:_PARTS],
-        NUMERICAL_ERROR.freedom_along,
-        *NUMERICAL_ERROR.freedom[_PARTS + 1 :],
-        NUMERICAL_ERROR.freedom_across,
-    )
+    if normal is not None:
+        across = np.concatenate([[where.start, where.start + 1] for where, *_ in reflections])
+        kinds[across[struck[across]]] = 2 * _PARTS
+        along = NUMERICAL_ERROR.freedom_along
+        freedom = (*freedom[:_PARTS], along, *freedom[_PARTS + 1 :], NUMERICAL_ERROR.freedom_across)
     return BodyModes(frames, kinds, freedom, tuple(reflections), _touching(force))
 
 
@@ -167,10 +163,8 @@ def _affine_motions(x: Float[np.ndarray, "P 3"], unit: Float[np.ndarray, "3 3"])
     arm = (x - x.mean(0)) / size
     columns = [np.broadcast_to(e, x.shape) for e in unit]
     columns += [np.cross(e, arm) for e in unit]
-    for i in range(3):
-        for j in range(i, 3):
-            strain = 0.5 * (np.outer(unit[i], unit[j]) + np.outer(unit[j], unit[i]))
-            columns.append(arm @ strain)
+    pairs = combinations_with_replacement(unit, 2)
+    columns += [arm @ (0.5 * (np.outer(a, b) + np.outer(b, a))) for a, b in pairs]
     moved = np.stack([c.ravel() for c in columns], axis=1)
     return moved + 1e-12 * np.arange(1, 13)  # a zero column (all points in one plane) keeps a direction
 

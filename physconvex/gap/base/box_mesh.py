@@ -70,9 +70,8 @@ def with_plane(
     Args:
         low, high: corners [m].
         cells: approximate number along each edge; each side of the plane has at least one.
-        axis: axis across the plane.
-        plane: coordinate of the plane [m].
-        order: order of the elements.
+        axis, plane: axis across the plane, and coordinate of the plane [m].
+        order, mirrored: see `physconvex.mesh.box_mesh`.
     """
     share = (plane - low[axis]) / (high[axis] - low[axis])
     first = max(round(share * cells[axis]), 1)
@@ -99,13 +98,8 @@ def box_cells(edges: Float[np.ndarray, " 3"], max_nodes: int, *, across: int = 1
     if edges.max() >= BODY_MESH.slender * others[1]:
         section = (2 * across + 1) ** 2
         allowed = max_nodes if across == 1 else BODY_MESH.several_across * max_nodes
-        along = int(
-            np.clip(
-                round(edges.max() / (BODY_MESH.slender_cell * others[1])),
-                1,
-                min((allowed / section - 1) // 2, BODY_MESH.most_cells),
-            )
-        )
+        most = min((allowed / section - 1) // 2, BODY_MESH.most_cells)
+        along = int(np.clip(round(edges.max() / (BODY_MESH.slender_cell * others[1])), 1, most))
         cells = [across] * 3
         cells[longest] = along
         return cells[0], cells[1], cells[2]

@@ -25,9 +25,7 @@ class OutOfBudget(ConvergenceError):
 def newton_step(scene: Any, nodes: int | None) -> float:
     """Approximate cost of one Newton step of a scene [s of one core].
 
-    Args:
-        scene: full-order or reduced.
-        nodes: number of nodes of the full-order mesh, None for the reduced model.
+    `nodes` is the number of nodes of the full-order mesh, None for the reduced model.
     """
     model, body = int(nodes is None), scene.body
     factor = 1.0

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from physconvex.dynamics import IntegratorName, Timing, simulate
 from physconvex.errors import ConvergenceError
-from physconvex.fem import Scene as FullScene, Trajectory
+from physconvex.fem import Scene as FullScene, Trajectory, vibration_modes
 from physconvex.gap.base.cost import Cost
 from physconvex.gap.effects.effect import AnyScene, Effect, Situation
 from physconvex.gap.effects.motion import MotionCorrection, PointMotion
@@ -24,7 +24,8 @@ from physconvex.reduced import ReducedScene, parameter_values
 
 Positions = Float[np.ndarray, "T P 3"]
 Vector = Float[np.ndarray, " K"]
-MODULUS = "log10_youngs_modulus"  # name of the parameter
+MODULUS: str = "log10_youngs_modulus"  # names of parameters
+RATIO: str = "poisson_ratio"
 _BASE_STEP = 0.1  # share of a typical step, for finite differences
 # tolerances of the full-order runs: their errors stay below 1e-5 of the size, a hundredth of the mesh error
 _TOLERANCE, _FRICTION_PASSES = 1e-6, 4
@@ -105,7 +106,7 @@ class EffectModel:
 
     def _weighed(self, parameter: Parameter, name: str) -> Parameter:
         """Unknowns with a prior on the ν of a held body, which bending does not determine."""
-        if name != "poisson_ratio" or not self.situation.clamped:
+        if name != RATIO or not self.situation.clamped:
             return parameter
         mean, sigma = BASE_FIT.held_poisson_ratio
         return replace(parameter, prior_mean=mean, prior_sigma=sigma / float(np.sqrt(self.doubt)))
@@ -140,17 +141,22 @@ class EffectModel:
         assert isinstance(scene, ReducedScene)
         return scene
 
+    def lowest_frequency(self, values: Vector) -> float:
+        """Lowest vibration frequency of the body on the model's mesh [Hz], attached masses included."""
+        scene = self.full_scene(values)
+        carried = None if scene.hanging is None else scene.hanging_masses
+        if scene.held is None:
+            return float(vibration_modes(scene.body, 7, carried=carried)[0][6])
+        held = np.zeros(len(scene.body.mesh.vertices), dtype=bool)
+        held[scene.held.nodes] = True
+        return float(vibration_modes(scene.body, 1, clamped=held, carried=carried)[0][0])
+
     # -- motions
 
     @cached_property
     def embedding(self) -> Embedding:
         """The points in the full-order mesh."""
         return Embedding.of_points(self.twin.mesh if self.mesh is None else self.mesh, self.points)
-
-    @property
-    def _steps(self) -> int:
-        """Time steps per frame of the full-order model."""
-        return self.twin.steps_per_frame * self.refinement
 
     @property
     def _end(self) -> float:
@@ -167,9 +173,8 @@ class EffectModel:
         return timing.every_step(self._ahead(values))
 
     def _motion(self, times: np.ndarray, positions: np.ndarray, velocities: np.ndarray, every: int) -> PointMotion:
-        return PointMotion.of_steps(
-            PointMotion(self.points, times, positions, velocities, self.camera), self.frames, every
-        )
+        steps = PointMotion(self.points, times, positions, velocities, self.camera)
+        return PointMotion.of_steps(steps, self.frames, every)
 
     def motion(self, values: Vector) -> PointMotion:
         """Motion of the points, before correction and observation."""
@@ -181,8 +186,8 @@ class EffectModel:
         Raises:
             ConvergenceError: the body cannot be simulated there.
         """
-        timing, scene = replace(self._timing(self._steps, values), integrator=self.integrator), self.full_scene(values)
-        nodes = len(scene.body.mesh.vertices)
+        steps, scene = self.twin.steps_per_frame * self.refinement, self.full_scene(values)
+        timing, nodes = replace(self._timing(steps, values), integrator=self.integrator), len(scene.body.mesh.vertices)
         try:
             run = simulate(scene, timing)
         except ConvergenceError:
@@ -190,7 +195,7 @@ class EffectModel:
             raise
         self.cost.add(scene, nodes, run.statistics)
         positions, velocities = self.embedding.apply(run.positions), self.embedding.apply(run.velocities)
-        return self._motion(run.times, positions, velocities, self._steps), scene, run
+        return self._motion(run.times, positions, velocities, steps), scene, run
 
     def reduced_motion(self, values: Vector) -> PointMotion:
         """The motion by the reduced model."""
@@ -236,9 +241,7 @@ class EffectModel:
     ) -> tuple[Positions, Float[np.ndarray, "T K P 3"]]:
         """Observed positions and their derivatives by all parameters, doses included, by finite differences.
 
-        Args:
-            values: parameters.
-            motion: the motion there, if it is known.
+        `motion` is the motion there, if it is known.
         """
         motion = self.motion(values) if motion is None else motion
         here, columns = self.observed(motion, values), []
@@ -258,12 +261,7 @@ class EffectModel:
         return SecantModel(self, values, positions, tangents, scales=scales, check=self.cost.check)
 
     def signature(self, changed: Vector, values: Vector, motion: PointMotion) -> Positions:
-        """Change of the observed positions by a change of the doses [m].
-
-        Args:
-            changed: values with a finite dose.
-            values: values without.
-            motion: the motion without.
+        """Change of the observed positions by a change of the doses [m], from `values` with their `motion`.
 
         Raises:
             ConvergenceError: the body with that dose cannot be simulated.
@@ -312,6 +310,11 @@ def reduced_like(full: EffectModel, motion: PointMotion, values: np.ndarray) -> 
     own = reduced.motion(values)
     exact = motion if full.correction is None else full.correction.of(motion)
     return replace(reduced, correction=MotionCorrection.between(exact, own)), own
+
+
+def decades_between(one: EffectModel, other: EffectModel, values: np.ndarray) -> float:
+    """Change of log10 E that gives another mesh the lowest frequency of this one."""
+    return 2 * float(np.log10(one.lowest_frequency(values) / other.lowest_frequency(values)))
 
 
 def searches_itself(full: EffectModel) -> bool:

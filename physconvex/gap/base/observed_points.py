@@ -83,9 +83,9 @@ def with_honest_noise(seen: Seen) -> Seen:
     left = missed - basis @ np.linalg.lstsq(basis, missed, rcond=None)[0]
     found = float(np.sqrt((left**2).sum() / (3 * (len(rest) - 4))))
     stated = float(np.median(seen.sigma[0][known]))
-    return (
-        replace(seen, sigma=seen.sigma * max(found / stated, 1.0)) if found > BASE_FIT.noise_in_doubt * stated else seen
-    )
+    if found <= BASE_FIT.noise_in_doubt * stated:
+        return seen
+    return replace(seen, sigma=seen.sigma * max(found / stated, 1.0))
 
 
 def starts_elsewhere(seen: Seen) -> bool:
@@ -147,16 +147,10 @@ def depth_seen(capture: Capture, seen: Seen, frames: Int[np.ndarray, " F"]) -> f
     """Depth of the second deepest marker in the floor, less noise [m]; 0 without markers or floor.
 
     The deviation of frame 0 from the rest state counts as a shift of the marker frame.
-
-    Args:
-        capture: capture with the floor.
-        seen: the observations.
-        frames: frames of the search.
     """
     if not isinstance(seen, MarkerObservations) or capture.floor is None:
         return 0.0
     normal = np.asarray(capture.floor.normal) / np.linalg.norm(capture.floor.normal)
-
     first = (seen.positions[0] - seen.points) @ normal
     shift = float(np.nanmean(first)) if np.isfinite(first).any() else 0.0
     height = (seen.positions[frames] - np.asarray(capture.floor.point)) @ normal - shift + 4 * seen.sigma[frames]

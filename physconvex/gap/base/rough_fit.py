@@ -7,6 +7,7 @@ tenth of a degree gets the wrong sign. Numerical differences give the errors of 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from physconvex.gap.base.baseline import FLOOR_LAW, Baseline, Report, Split, spl
 from physconvex.gap.base.body_modes import body_modes
 from physconvex.gap.base.box_mesh import box_of_body
 from physconvex.gap.base.cost import Cost
-from physconvex.gap.base.model import EffectModel
+from physconvex.gap.base.model import MODULUS, EffectModel
 from physconvex.gap.base.observed_points import (
     Seen,
     depth_seen,
@@ -50,19 +51,13 @@ from physconvex.identify import (
 )
 from physconvex.io import Capture
 from physconvex.mesh import TetMesh
-
-_RATIO = "poisson_ratio"
+from physconvex.reduced import ReducedTrajectory
 
 
 def with_rough_errors(seen: Seen, twin: Twin, frames: int) -> Seen:
     """Observations of the first frames, with noise widened by the error of a rough model of a free body.
 
-    Unchanged for a held body, and if the twin cannot be simulated.
-
-    Args:
-        seen: the observations.
-        twin: rough model; its flight agrees with the body's.
-        frames: number of frames.
+    The flight of the twin must agree with the body's. Unchanged for a held body, and if the twin cannot be simulated.
     """
     seen = seen.in_frames(frames)
     if twin.clamp is not None:
@@ -76,28 +71,14 @@ def with_rough_errors(seen: Seen, twin: Twin, frames: int) -> Seen:
     motion = PointMotion(
         seen.points, run.times, shapes @ run.coordinates, shapes @ run.velocities, getattr(seen, "camera", None)
     )
-    surface = space.surface_values @ run.coordinates
-    error = rough_error_by_frame(twin, run.times, surface, (space.surface_values @ run.velocities).mean(1), motion)
+    error = _rough_error_by_frame(twin, run, motion)
     return widened(seen, 1.0 + (error[seen.frames] / in_metres(seen, motion)) ** 2)
 
 
-def rough_error_by_frame(
-    twin: Twin,
-    times: Float[np.ndarray, " T"],
-    surface: Float[np.ndarray, "T V 3"],
-    velocities: Float[np.ndarray, "T 3"],
-    motion: PointMotion,
-) -> Float[np.ndarray, " T"]:
-    """Error of each frame [m].
-
-    Args:
-        twin: the body and its obstacles.
-        times: times of the frames [s].
-        surface: points all over the surface [m].
-        velocities: mean velocity of the surface [m/s].
-        motion: motion of the observed points.
-    """
-    size = twin.mesh.size
+def _rough_error_by_frame(twin: Twin, run: ReducedTrajectory, motion: PointMotion) -> Float[np.ndarray, " T"]:
+    """Error of each frame [m], from a run of the twin and the motion of the observed points in it."""
+    size, times, skinned = twin.mesh.size, run.times, twin.scene.body.space.surface_values
+    surface, velocities = skinned @ run.coordinates, (skinned @ run.velocities).mean(1)
     error = BASE_FIT.flying * np.linalg.norm(motion.positions - motion.rest, axis=-1).mean(1)
     near = np.array(
         [
@@ -130,22 +111,17 @@ def _twin(capture: Capture, weights: int, max_nodes: int, steps: int) -> Twin:
     raise AssertionError("unreachable")
 
 
-def _cheap(capture: Capture, options: GapOptions) -> Twin:
-    """A coarse twin for the scan over E."""
-    return _twin(capture, 5, min(200, options.max_nodes), max(4, int(np.ceil(192 / capture.fps))))
-
-
-def _first_values(capture: Capture, observations: Seen, frames: int, options: GapOptions) -> tuple[Parameter, ...]:
-    """Starts of the base parameters: rigid motion from the first frames, E from a scan."""
-    twin = _cheap(capture, options)
+def _first_values(twin: Twin, observations: Seen, frames: int) -> tuple[Parameter, ...]:
+    """Starts of the base parameters: rigid motion from the first frames, E from a scan with a coarse twin."""
+    capture = twin.capture
     if isinstance(observations, MarkerObservations):
         twin = start_motion(twin, observations)
     parameters = default_parameters(twin)
     gravity = float(np.linalg.norm(capture.gravity))
     moduli = scan_values(density=capture.density, gravity=gravity, size=twin.mesh.size)
     if isinstance(observations, MarkerObservations):
-        middle = twin.with_values(["log10_youngs_modulus"], np.array(moduli[len(moduli) // 2 : len(moduli) // 2 + 1]))
-        observations = with_rough_errors(observations, middle, frames)
+        middle = np.array([moduli[len(moduli) // 2]])
+        observations = with_rough_errors(observations, twin.with_values([MODULUS], middle), frames)
     names = tuple(p.name for p in parameters)
     windows = _windows(frames, held=twin.clamp is not None)
     model = ReducedModel(twin, names, observations.points, windows[0])
@@ -178,16 +154,15 @@ def _windows(frames: int, *, held: bool) -> tuple[int, ...]:
 
 def steps_per_frame(twin: Twin, values: dict[str, float]) -> int:
     """Time steps per frame that resolve the body's vibrations, within the affordable number."""
-    wave = twin.mesh.size * np.sqrt(twin.capture.density / 10 ** values["log10_youngs_modulus"])
+    wave = twin.mesh.size * np.sqrt(twin.capture.density / 10 ** values[MODULUS])
     resolved = BASE_FIT.steps_per_wave if twin.clamp is None else BASE_FIT.steps_per_wave_held
     wanted = int(np.ceil(resolved / (wave * twin.fps)))
     most = max(twin.steps_per_frame, BASE_FIT.most_steps // twin.capture.frames)
     return int(np.clip(wanted, twin.steps_per_frame, most))
 
 
-def _situation(
-    twin: Twin, seen: Seen, *, peak_stress: float, touches: bool, giving: bool, depth: float
-) -> Situation:  # fmt: skip
+def _situation(twin: Twin, seen: Seen, split: Split, names: Sequence[str]) -> Situation:
+    """Facts about the capture; stress and touch are those of no run yet."""
     scene, capture = twin.scene, twin.capture
     return Situation(
         size=twin.mesh.size,
@@ -197,14 +172,13 @@ def _situation(
         frames=capture.frames,
         floor=bool(scene.obstacles),
         clamped=twin.clamp is not None,
-        touches=touches,
-        giving_floor=giving,
-        depth=depth,
+        touches=bool(scene.obstacles),
+        giving_floor=bool(set(FLOOR_LAW) & set(names)),
+        depth=depth_seen(capture, seen, split.fitted),
         friction=max((o.friction for o in scene.obstacles), default=0.0),
         states_velocity=capture.initial_velocity is not None or twin.clamp is not None,
         states_spin=capture.initial_angular_velocity is not None or twin.clamp is not None,
         starts_elsewhere=starts_elsewhere(seen),
-        peak_stress=peak_stress,
         gravity=(float(capture.gravity[0]), float(capture.gravity[1]), float(capture.gravity[2])),
         camera=seen.camera if isinstance(seen, PixelObservations) else None,
     )
@@ -228,22 +202,19 @@ def rough_baseline(
 ) -> Baseline:  # fmt: skip
     """Fit the free parameters of the reduced base model, and run the full-order model at the result.
 
-    Args:
-        capture: the capture.
-        options: settings.
-        report: receives progress messages.
-        cost: counts the runs of all models derived from it.
+    `cost` counts the runs of all models derived from it, `report` receives progress messages.
 
     Raises:
         InputError: no tracks, no rest geometry, or too few frames.
         ConvergenceError: the base model cannot be simulated.
     """
-    observations = with_honest_noise(observations_of(capture, _cheap(capture, options)))
+    coarse = _twin(capture, 5, min(200, options.max_nodes), max(4, int(np.ceil(192 / capture.fps))))
+    observations = with_honest_noise(observations_of(capture, coarse))
     split = split_frames(capture, observations.frames)
     count = split.end
     fitted = observations.in_frames(count)
     report("rough fit of the base model")
-    starts = _first_values(capture, fitted, count, options)
+    starts = _first_values(coarse, fitted, count)
     values = {p.name: p.start for p in starts}
     twin = _twin(capture, options.weights, options.max_nodes, 6)
     twin = replace(twin, steps_per_frame=steps_per_frame(twin, values))
@@ -252,27 +223,27 @@ def rough_baseline(
     report("fit of the reduced base model")
     fitted = with_rough_errors(fitted, twin, count)
     rough = fit(ReducedModel(twin, names, fitted.points, count), fitted, starts, options=FitOptions(max_iterations=6))
-    return run_base(capture, observations, split, twin.with_values(names, rough.values), rough, cost=cost)
+    return _run_base(capture, observations, split, twin.with_values(names, rough.values), rough, cost=cost)
 
 
-def run_base(
+def run_again(base: Baseline, found: Fit, *, twin: Twin | None = None, mesh: TetMesh | None = None) -> Baseline:
+    """The full-order model of a baseline at other fitted values, on its own twin by default."""
+    twin = (twin or base.model.twin).with_values(found.names, found.values)
+    return _run_base(base.capture, base.observations, base.split, twin, found, mesh=mesh, cost=base.model.cost)
+
+
+def _run_base(
     capture: Capture, observations: Seen, split: Split, twin: Twin, found: Fit, *, mesh: TetMesh | None = None,
     cost: Cost | None = None,
 ) -> Baseline:  # fmt: skip
     """The full-order model at fitted values, all frames, without tangents."""
-    giving = bool(set(FLOOR_LAW) & set(found.names))
-    depth = depth_seen(capture, observations, split.fitted)
-    situation = _situation(
-        twin, observations, peak_stress=1e3, touches=bool(twin.scene.obstacles), giving=giving, depth=depth
-    )
+    situation = _situation(twin, observations, split, found.names)
     points, camera = np.asarray(observations.points), situation.camera
     model = EffectModel(
         twin, found.names, points, capture.frames, situation, camera=camera, mesh=mesh, cost=cost or Cost()
     )
     peak, force, motion = _stress_and_contact(model, found.values)
-    situation = _situation(
-        twin, observations, peak_stress=peak, touches=bool((force > 0).any()), giving=giving, depth=depth
-    )
+    situation = replace(situation, peak_stress=peak, touches=bool((force > 0).any()))
     nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))
     floors = twin.scene.obstacles
     normal = np.asarray(floors[0].normal) if len(floors) == 1 and isinstance(floors[0], Plane) else None

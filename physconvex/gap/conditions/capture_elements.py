@@ -10,7 +10,6 @@ beam is then heavier than its volume, which mimics a hanging load. The masses ar
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -18,32 +17,24 @@ from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.base.base_fit import fit_baseline, misfit_of_base
-from physconvex.gap.base.baseline import Baseline
-from physconvex.gap.base.lowest_mode import decades_between
-from physconvex.gap.base.model import MODULUS, EffectModel, searches_itself
+from physconvex.gap.base.baseline import Baseline, Report
+from physconvex.gap.base.model import MODULUS, RATIO, EffectModel, decades_between, searches_itself
 from physconvex.gap.effects.catalogue import DEFAULT_EFFECTS, applicable
-from physconvex.gap.effects.motion import MotionCorrection
+from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.errors.numerical_differences import Numerics
 from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import SETTING
 from physconvex.mesh import TetMesh
 
 _COMPANY = ("gravity_tilt", "damping")  # effects that are fitted together with the masses
-_RATIO = "poisson_ratio"
 
 
 def mesh_of_capture_elements(base: Baseline) -> TetMesh | None:
     """The capture's linear tetrahedra, if it has some and a run is affordable."""
     mesh = base.capture.tets()
     steps = base.model.frames * base.model.twin.steps_per_frame
-    if (
-        mesh is None
-        or mesh.order != 1
-        or len(mesh.vertices) * steps > SETTING.own_work
-        or MODULUS not in base.model.base
-    ):
-        return None
-    return mesh
+    linear = mesh is not None and mesh.order == 1 and len(mesh.vertices) * steps <= SETTING.own_work
+    return mesh if linear and MODULUS in base.model.base else None
 
 
 def with_own_elements(
@@ -53,7 +44,7 @@ def with_own_elements(
     variance: Float[np.ndarray, " N"],
     *,
     options: GapOptions,
-    report: Callable[[str], None],
+    report: Report,
     known: bool | None = None,
 ) -> tuple[Baseline, Numerics]:
     """The base fit on the capture's own linear elements if they are the recording's; otherwise the unchanged base fit.
@@ -63,8 +54,7 @@ def with_own_elements(
         rough: start of the fits.
         numerics: differences of runs; for a held body on its own elements, the mesh error is zero.
         variance: variance of the residuals of a free body, all frames; those of a held one weigh equally.
-        options: settings.
-        report: receives progress messages.
+        options, report: settings, and what receives progress messages.
         known: whether they are the recording's, if `physconvex.gap.conditions.setting` has tested that; by default they
             are if they halve the squares.
     """
@@ -76,8 +66,14 @@ def with_own_elements(
     before = misfit_of_base(base, variance)
 
     def fitted(mesh: TetMesh, near: Baseline, most: float) -> Baseline | None:
+        """The base fit on other elements; None if it cannot be run, or E alone leaves more than `most`."""
         try:
-            return _fitted_on(mesh, near, rough, numerics, variance, options=options, report=report, most=most)
+            found = _start_on(mesh, near, rough, variance, most)
+            if found is None:
+                return None
+            start, motion = found
+            correction = MotionCorrection(numerics.steps)
+            return fit_baseline(start, correction, (mesh, motion), variance, options=options, report=report)
         except (ConvergenceError, InputError):
             return None
 
@@ -122,23 +118,18 @@ def _left_beside(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
     return float(np.mean((residual - columns @ np.linalg.lstsq(columns, residual)[0]) ** 2))
 
 
-def _fitted_on(
-    mesh: TetMesh,
-    near: Baseline,
-    rough: Baseline,
-    numerics: Numerics,
-    variance: Float[np.ndarray, " N"],
-    *,
-    options: GapOptions,
-    report: Callable[[str], None],
-    most: float,
-) -> Baseline | None:
-    """The base fit on other elements, from an E of equal vibration; None if E alone leaves more than `most`."""
+def _start_on(
+    mesh: TetMesh, near: Baseline, rough: Baseline, variance: Float[np.ndarray, " N"], most: float
+) -> tuple[Baseline, PointMotion] | None:
+    """Start of a fit on other elements at an E of equal vibration, and the motion there.
+
+    None if E alone leaves more than `most`.
+    """
     index, model = near.model.base.index(MODULUS), replace(near.model, mesh=mesh)
     model.embedding  # noqa: B018 markers may lie off that mesh
     values = near.fit.values.copy()
-    if _RATIO in near.model.base and near.model.mesh is None:
-        at = near.model.base.index(_RATIO)
+    if RATIO in near.model.base and near.model.mesh is None:
+        at = near.model.base.index(RATIO)
         values[at] = np.clip(values[at], *SETTING.own_poisson_ratio)
     values[index] += decades_between(near.model, model, values)
     least, values[index] = _best_modulus(near, model, values, variance)
@@ -147,10 +138,8 @@ def _fitted_on(
     motion = model.motion(values)
     another = near.situation.clamped and not searches_itself(model)  # a coarser mesh then searches instead
     stiffer = _surrogate(near, mesh, values, motion.positions) if another else 0.0
-    start = replace(rough, fit=replace(rough.fit, values=values), model=replace(rough.model, surrogate_stiffer=stiffer))
-    return fit_baseline(
-        start, MotionCorrection(numerics.steps), (mesh, motion), variance, options=options, report=report
-    )
+    model = replace(rough.model, surrogate_stiffer=stiffer)
+    return replace(rough, fit=replace(rough.fit, values=values), model=model), motion
 
 
 def _best_modulus(

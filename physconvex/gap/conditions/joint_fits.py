@@ -25,7 +25,7 @@ from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
-from physconvex.gap.base.model import MODULUS, EffectModel
+from physconvex.gap.base.model import MODULUS, RATIO, EffectModel
 from physconvex.gap.base.observed_points import Seen
 from physconvex.gap.base.rough_fit import steps_per_frame, with_rough_errors
 from physconvex.gap.effects.catalogue import DEFAULT_EFFECTS, applicable
@@ -36,17 +36,10 @@ from physconvex.identify import Fit, FitOptions, fit, misfit_of, scan_values
 from physconvex.mesh import TetMesh
 
 RIGID = ("friction", "gravity_tilt", "air_drag (linear)", "initial_velocity", "initial_spin")
-_RATIO = "poisson_ratio"
 
 
 class JointFits:
-    """A rough base fit and the effects that are fitted with it.
-
-    Args:
-        base: the rough base fit.
-        options: settings.
-        labels: labels of the effects; by default those that move a body as a whole.
-    """
+    """A rough base fit and the effects that are fitted with it, by default those that move a body as a whole."""
 
     def __init__(self, base: Baseline, options: GapOptions, labels: Sequence[str] = RIGID) -> None:
         self.base = base
@@ -62,12 +55,7 @@ class JointFits:
         return np.concatenate([np.zeros(0), *(effect.null for effect in self.effects)])
 
     def model(self, names: tuple[str, ...], values: np.ndarray) -> EffectModel:
-        """The reduced model of the fitted frames, with time steps that suit the values.
-
-        Args:
-            names: names of the base parameters.
-            values: their values; more may follow.
-        """
+        """The reduced model of the fitted frames, with time steps that suit the values; doses may follow these."""
         twin = self.base.model.twin
         steps = steps_per_frame(replace(twin, steps_per_frame=6), dict(zip(names, values, strict=False)))
         return replace(
@@ -105,13 +93,7 @@ class JointFits:
     def full(self, names: tuple[str, ...], reduced: Fit, mesh: TetMesh | None) -> Fit | None:
         """A short fit of the full-order model from one of the reduced model, with the derivatives of the latter.
 
-        Args:
-            names: names of the base parameters.
-            reduced: start of the fit.
-            mesh: the elements; None for the twin's.
-
-        Returns:
-            None if the model cannot be run on that mesh.
+        `mesh` has the elements (None for the twin's). None if the model cannot be run on it.
         """
         values = reduced.values
         cheap = self.model(names, values)
@@ -131,18 +113,15 @@ def sinks_in(base: Baseline) -> bool:
 
 
 def on_giving_floor(joint: JointFits, doses: Float[np.ndarray, " D"]) -> Fit | None:
-    """The reduced model's fit with free stiffness and dashpot of the floor, from a scan; None if no start works.
+    """The reduced model's fit with free stiffness and dashpot of the floor, from a scan at some doses of the effects.
 
-    Args:
-        joint: the rough base fit and the added effects.
-        doses: doses of these effects in the scan.
+    None if no start works.
     """
     base = joint.base
     names = (*base.model.base, *FLOOR_LAW)
     starts = [np.append(values, doses) for values in _starts(base)]
     misfits = [joint.misfit(names, values) for values in starts]
-    order = [i for i in np.argsort(misfits)[: SETTING.fits] if np.isfinite(misfits[i])]
-    return joint.best(names, [starts[i] for i in order])
+    return joint.best(names, [starts[i] for i in np.argsort(misfits)[: SETTING.fits] if np.isfinite(misfits[i])])
 
 
 def softness(base: Baseline, names: tuple[str, ...], values: Float[np.ndarray, " K"]) -> float:
@@ -155,47 +134,42 @@ def _starts(base: Baseline) -> list[np.ndarray]:
     """Values of the base parameters, the floor's last."""
     normal = np.asarray(base.capture.floor.normal) / np.linalg.norm(base.capture.floor.normal)  # type: ignore[union-attr]
     speed = max(-float((base.motion.velocities.mean(1) @ normal).min()), 1e-2)
-    depth, names = base.situation.depth, base.model.base
-    at, out = names.index("log10_youngs_modulus"), []
+    depth, at, out = base.situation.depth, base.model.base.index(MODULUS), []
     for decades, shift, dashpot in product(SETTING.moduli, SETTING.stiffnesses, SETTING.dashpots):
-        values = base.fit.values.copy()
-        values[at] += decades
-        if "poisson_ratio" in names:
-            values[names.index("poisson_ratio")] = np.clip(values[names.index("poisson_ratio")], *SETTING.poisson_ratio)
+        values = _with_modulus(base, base.fit.values[at] + decades)
         pressure = np.sqrt(10 ** values[at] * base.capture.density) * speed  # stop within a wave transit time
         out.append(np.append(values, [np.log10(pressure / depth) + shift, dashpot * depth / speed]))
     return out
 
 
-def damped_fit(base: Baseline, options: GapOptions) -> tuple[JointFits, Fit] | None:
-    """The reduced model's fit with damping, its dose the last value; None if it hardly improves the fit.
+def _with_modulus(base: Baseline, modulus: float) -> np.ndarray:
+    """The values of a base fit with another log10 E, and with ν away from its limits."""
+    values, names = base.fit.values.copy(), base.model.base
+    values[names.index(MODULUS)] = modulus
+    if RATIO in names:
+        at = names.index(RATIO)
+        values[at] = np.clip(values[at], *SETTING.poisson_ratio)
+    return values
 
-    Args:
-        base: the rough base fit.
-        options: settings.
-    """
+
+def damped_fit(base: Baseline, options: GapOptions) -> tuple[JointFits, Fit] | None:
+    """The reduced model's fit with damping, its dose the last value; None if it hardly improves the fit."""
     joint, names, capture = JointFits(base, options, ["damping"]), base.model.base, base.capture
     if MODULUS not in names or not joint.effects:
         return None
     gravity = float(np.linalg.norm(capture.gravity))
     moduli = scan_values(density=capture.density, gravity=gravity, size=base.situation.size)
 
-    def start(modulus: float, share: float) -> np.ndarray:
+    def at(modulus: float, share: float) -> tuple[float, np.ndarray]:
         wave = base.situation.size * np.sqrt(capture.density / 10**modulus)
-        values = np.append(base.fit.values, share * wave)
-        values[names.index(MODULUS)] = modulus
-        if _RATIO in names:
-            values[names.index(_RATIO)] = np.clip(values[names.index(_RATIO)], *SETTING.poisson_ratio)
-        return values
+        values = np.append(_with_modulus(base, modulus), share * wave)
+        return joint.misfit(names, values), values
 
-    tried = [(joint.misfit(names, values), values) for values in (start(m, SETTING.damping) for m in moduli)]
+    tried = [at(modulus, SETTING.damping) for modulus in moduli]
     best = int(np.argmin([misfit for misfit, _ in tried]))
-    near = moduli[max(best - 1, 0) : best + 2]
-    others = (start(*pair) for pair in product(near, SETTING.other_damping))
-    tried += [(joint.misfit(names, values), values) for values in others]
+    tried += [at(*pair) for pair in product(moduli[max(best - 1, 0) : best + 2], SETTING.other_damping)]
     first = sorted(tried, key=lambda pair: pair[0])[: SETTING.fits]
-    order = [values for misfit, values in first if np.isfinite(misfit)]
-    found = joint.best(names, order)
+    found = joint.best(names, [values for misfit, values in first if np.isfinite(misfit)])
     if found is None:
         return None
     without = joint.misfit(names, np.append(base.fit.values, joint.nothing))

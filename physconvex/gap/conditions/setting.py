@@ -7,14 +7,13 @@ cube tumble after contact, which hides the floor, and the floor can hide the mes
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from physconvex.errors import ConvergenceError
-from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
-from physconvex.gap.base.rough_fit import run_base
+from physconvex.gap.base.baseline import FLOOR_LAW, Baseline, Report
+from physconvex.gap.base.rough_fit import run_again
 from physconvex.gap.conditions.capture_elements import mesh_of_capture_elements
 from physconvex.gap.conditions.joint_fits import JointFits, damped_fit, on_giving_floor, sinks_in, softness
 from physconvex.gap.options import GapOptions
@@ -37,16 +36,11 @@ class Setting:
     damped: Baseline | None = None
 
 
-def find_setting(base: Baseline, options: GapOptions, report: Callable[[str], None]) -> Setting:
+def find_setting(base: Baseline, options: GapOptions, report: Report) -> Setting:
     """Test whether the floor is compliant, whether the capture's tetrahedra are the recording's, or the body is damped.
 
-    Args:
-        base: the rough base fit, on a rigid floor.
-        options: settings.
-        report: receives progress messages.
-
-    Returns:
-        The unchanged base fit if none of that holds, or if such a model cannot be simulated.
+    `base` is the rough base fit, on a rigid floor. It is returned unchanged if none of that holds, or if such a model
+    cannot be simulated.
     """
     if base.situation.clamped or not base.situation.touches:
         return Setting(base, None)
@@ -56,7 +50,7 @@ def find_setting(base: Baseline, options: GapOptions, report: Callable[[str], No
         return Setting(base, None)
 
 
-def _asked(base: Baseline, options: GapOptions, report: Callable[[str], None]) -> Setting:
+def _asked(base: Baseline, options: GapOptions, report: Report) -> Setting:
     own, sinks = mesh_of_capture_elements(base), sinks_in(base)
     if own is None and not sinks:
         return _damped(base, options, report)
@@ -91,12 +85,11 @@ def _likeliest(misfits: dict[tuple[bool, bool], float], *, refuted: bool) -> tup
 
     `refuted` excludes a rigid floor, even if it fits well with wrong values.
     """
-    possible = {case: misfit for case, misfit in misfits.items() if case[1]} if refuted else {}
-    possible = possible or misfits
-    return min(possible, key=lambda case: possible[case] / SETTING.better ** sum(case))
+    possible = [case for case in misfits if case[1] or not refuted] or misfits
+    return min(possible, key=lambda case: misfits[case] / SETTING.better ** sum(case))
 
 
-def _damped(base: Baseline, options: GapOptions, report: Callable[[str], None]) -> Setting:
+def _damped(base: Baseline, options: GapOptions, report: Report) -> Setting:
     """The setting on a rigid floor, where only damping dissipates the energy of an impact."""
     report("scan over E and damping")
     damped = damped_fit(base, options)
@@ -114,5 +107,4 @@ def _moved(base: Baseline, joint: JointFits, names: tuple[str, ...], found: Fit)
     alone = replace(
         found, parameters=found.parameters[:count], values=found.values[:count], jacobian=found.jacobian[:, :count]
     )
-    twin = joint.model(names, alone.values).twin.with_values(names, alone.values)
-    return run_base(base.capture, base.observations, base.split, twin, alone, cost=base.model.cost)
+    return run_again(base, alone, twin=joint.model(names, alone.values).twin)

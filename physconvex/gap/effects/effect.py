@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -18,9 +18,6 @@ from physconvex.reduced import ReducedScene
 
 AnyScene: TypeAlias = ReducedScene | Scene
 Source = Literal["material", "contact", "external", "initial state", "observation", "numerical", "gauge"]
-SOURCES: tuple[Source, ...] = (
-    "material", "contact", "external", "initial state", "observation", "numerical", "gauge",
-)  # fmt: skip
 IN_FLIGHT: tuple[Source, ...] = ("external", "initial state", "observation")  # visible without contact
 
 
@@ -117,21 +114,14 @@ class Dose:
     def narrowed(self, deviation: float) -> float:
         """Information that a recording adds to the prior [nats]; inf of a dose that does not only shape an effect.
 
-        Args:
-            deviation: standard error, prior included; NaN if unknown.
+        `deviation` is the standard error, prior included; NaN if unknown.
         """
         if not self.shape or not np.isfinite(self.plausible) or not deviation > 0:
             return float("inf")
         return max(float(np.log(self.plausible / deviation)), 0.0)
 
     def estimate(self, amount: float, error: float, trial: float) -> tuple[float, float]:
-        """Dose for a multiple of the trial effect, and its standard error, to first order.
-
-        Args:
-            amount: multiple of the effect of the trial dose.
-            error: standard error of the multiple.
-            trial: the trial dose.
-        """
+        """Dose for a multiple (with a standard error) of the trial dose's effect, and its error, to first order."""
         if self.threshold:  # assume growth with the squared distance beyond the threshold
             share = max(amount, 0.02)
             value = trial - self.sign * 0.5 * np.log10(1 / share)
@@ -211,8 +201,9 @@ class Effect:
     def __post_init__(self) -> None:
         if not self.doses:
             raise InputError(f"effect {self.name}: got no dose; expected at least one number that measures it")
-        if self.source not in SOURCES:
-            raise InputError(f"effect {self.name}: source: got {self.source!r}; expected one of {', '.join(SOURCES)}")
+        if self.source not in get_args(Source):
+            expected = ", ".join(get_args(Source))
+            raise InputError(f"effect {self.name}: source: got {self.source!r}; expected one of {expected}")
         acts = (self.scene, self.observe, self.photograph)
         if self.source not in ("gauge", "numerical") and not any(acts):
             raise InputError(f"effect {self.name}: acts on nothing; give it `scene`, `observe` or `photograph`")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float
@@ -26,15 +27,11 @@ _INCLUSION = 0.5  # width (standard deviation) of a softer or stiffer part, over
 _UNYIELDING = 9.0  # log10 of a yield stress [Pa] that no motion here reaches
 
 
-def _damping(scene: AnyScene, doses: Doses) -> AnyScene:
-    return replace(scene, damping_time=scene.damping_time + float(doses[0]))
-
-
 DAMPING = Effect(
     "damping",
     "material",
     (Dose("damping_time", "s", 0.0, 0.2, 1e-4, lambda s: 0.05 * s.wave_time),),
-    scene=_damping,
+    scene=lambda scene, doses: replace(scene, damping_time=scene.damping_time + float(doses[0])),
     description="viscosity in proportion to stiffness (Kelvin–Voigt): every strain rate costs energy",
     confusable=("viscoelasticity", "time_step", "restitution"),
 )
@@ -194,34 +191,31 @@ def _towards(name: str) -> Callable[[AnyScene, Doses], AnyScene]:
     return scene
 
 
-_CONFUSED = ("anisotropy", "contact_stiffness")
-STIFFENING = Effect(
-    "nonlinear_elasticity",
-    "material",
-    (Dose("stiffening_rate", "", 0.0, 50.0, 0.1, lambda s: 0.5),),
-    scene=_stiffening,
-    variant="stiffening",
-    description="shear stiffness grows with strain (Yeoh's second term)",
-    confusable=_CONFUSED,
-)
-OTHER_LAWS = (
-    Effect(
-        "nonlinear_elasticity",
-        "material",
-        (Dose("corotated_share", "", -0.5, 1.0, 0.2, lambda s: 0.3),),
-        scene=_towards("corotated"),
-        variant="law",
-        description="another elastic law at large strain: on the way from the base law to the corotated one",
-        confusable=_CONFUSED,
+def _nonlinear(variant: str, dose: Dose, scene: Callable[[AnyScene, Doses], AnyScene], description: str) -> Effect:
+    return Effect(
+        "nonlinear_elasticity", "material", (dose,), scene=scene, variant=variant, description=description,
+        confusable=("anisotropy", "contact_stiffness"),
+    )  # fmt: skip
+
+
+NONLINEAR = (
+    _nonlinear(
+        "stiffening",
+        Dose("stiffening_rate", "", 0.0, 50.0, 0.1, lambda s: 0.5),
+        _stiffening,
+        "shear stiffness grows with strain (Yeoh's second term)",
     ),
-    Effect(
-        "nonlinear_elasticity",
-        "material",
-        (Dose("green_share", "", 0.0, 1.0, 0.2, lambda s: 0.3),),
-        scene=_towards("stvk"),
-        variant="softening",
-        description="softer the more it is pressed: on the way from the base law to Saint Venant and Kirchhoff's",
-        confusable=_CONFUSED,
+    _nonlinear(
+        "law",
+        Dose("corotated_share", "", -0.5, 1.0, 0.2, lambda s: 0.3),
+        _towards("corotated"),
+        "another elastic law at large strain: on the way from the base law to the corotated one",
+    ),
+    _nonlinear(
+        "softening",
+        Dose("green_share", "", 0.0, 1.0, 0.2, lambda s: 0.3),
+        _towards("stvk"),
+        "softer the more it is pressed: on the way from the base law to Saint Venant and Kirchhoff's",
     ),
 )
 
@@ -233,8 +227,7 @@ MATERIAL_EFFECTS: tuple[Effect, ...] = (
     PLASTICITY,
     PLASTICITY.with_trial("bulk", lambda s: _yield_trial(s, 0.12)),
     HETEROGENEITY,
-    *(_inclusion((x, y, z)) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)),
+    *(_inclusion((x, y, z)) for x, y, z in product((-1, 1), repeat=3)),
     *(_with_fibres(variant, axes) for variant, axes in _FIBRES.items()),
-    STIFFENING,
-    *OTHER_LAWS,
+    *NONLINEAR,
 )

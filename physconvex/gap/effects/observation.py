@@ -7,6 +7,8 @@ formation act on patches of pictures, and move no point.
 
 from __future__ import annotations
 
+from itertools import product
+
 import cv2
 import numpy as np
 from jaxtyping import Float
@@ -19,30 +21,20 @@ Doses = Float[np.ndarray, " D"]
 Positions = Float[np.ndarray, "T P 3"]
 
 
-def _late(motion: PointMotion, doses: Doses) -> Positions:
-    return motion.at(motion.times + doses[0])
-
-
 TIME_OFFSET = Effect(
     "time_offset",
     "observation",
     (Dose("offset", "s", -0.2, 0.2, 5e-4, lambda s: 0.1 / s.fps, plausible=0.05),),
-    observe=_late,
+    observe=lambda motion, doses: motion.at(motion.times + doses[0]),
     ahead=lambda end, doses: float(doses[0]),
     description="the recording starts later (or earlier) than the motion",
     confusable=("initial_velocity",),
 )
-
-
-def _fast(motion: PointMotion, doses: Doses) -> Positions:
-    return motion.at(motion.times * (1 + doses[0]))
-
-
 TIME_SCALE = Effect(
     "time_scale",
     "observation",
     (Dose("relative_error", "", -0.5, 0.5, 2e-3, lambda s: 0.01, plausible=0.05),),
-    observe=_fast,
+    observe=lambda motion, doses: motion.at(motion.times * (1 + doses[0])),
     ahead=lambda end, doses: end * float(doses[0]),
     description="the stated frame rate is wrong; within one flight the same as another gravity or size",
     confusable=("air_drag", "focal_length"),
@@ -126,18 +118,7 @@ ROLLING_SHUTTER = Effect(
     description="rows of the image are exposed one after the other",
     confusable=("initial_spin", "time_offset"),
 )
-OBSERVATION_EFFECTS: tuple[Effect, ...] = (
-    TIME_OFFSET,
-    TIME_SCALE,
-    CAMERA_POSE,
-    FOCAL_LENGTH,
-    LENS_DISTORTION,
-    ROLLING_SHUTTER,
-)
-
-
-def _brighter(patches: Patches, doses: Float[np.ndarray, " D"]) -> Float[np.ndarray, "N h w"]:
-    return np.asarray(patches.light * np.exp(doses[0] * patches.times)[:, None, None])
+OBSERVATION_EFFECTS = (TIME_OFFSET, TIME_SCALE, CAMERA_POSE, FOCAL_LENGTH, LENS_DISTORTION, ROLLING_SHUTTER)
 
 
 def _line(displacement: Float[np.ndarray, " 2"]) -> np.ndarray:
@@ -148,10 +129,8 @@ def _line(displacement: Float[np.ndarray, " 2"]) -> np.ndarray:
     places = reach + np.linspace(-0.5, 0.5, count)[:, None] * displacement[::-1]  # rows, columns
     corner = np.floor(places).astype(int)
     part = places - corner
-    for row in (0, 1):
-        for column in (0, 1):
-            weights = np.abs(1 - row - part[:, 0]) * np.abs(1 - column - part[:, 1])
-            np.add.at(kernel, (corner[:, 0] + row, corner[:, 1] + column), weights)
+    for beyond in product((0, 1), repeat=2):
+        np.add.at(kernel, tuple((corner + beyond).T), np.abs(1 - np.array(beyond) - part).prod(1))
     return kernel / count
 
 
@@ -169,7 +148,7 @@ EXPOSURE = Effect(
     "exposure",
     "observation",
     (Dose("drift", "1/s", -5.0, 5.0, 0.05, lambda s: 1.0),),
-    photograph=_brighter,
+    photograph=lambda patches, doses: patches.light * np.exp(doses[0] * patches.times)[:, None, None],
     applies=_seen_by_camera,
     description="the picture grows brighter or darker: logarithm of its light per second",
 )
@@ -181,4 +160,4 @@ MOTION_BLUR = Effect(
     applies=_seen_by_camera,
     description="the shutter stays open while the body moves: edges widen along the motion",
 )
-IMAGE_EFFECTS: tuple[Effect, ...] = (EXPOSURE, MOTION_BLUR)
+IMAGE_EFFECTS = (EXPOSURE, MOTION_BLUR)

@@ -26,6 +26,10 @@ def rotation_vector_matrix(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray,
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
 
 
+def _vector(values: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
 def _rubbing(scene: AnyScene, doses: Doses) -> AnyScene:
     rough = tuple(replace(o, friction=max(o.friction + float(doses[0]), 0.0)) for o in scene.obstacles)
     return replace(scene, obstacles=rough)
@@ -73,11 +77,7 @@ def _tilted(scene: AnyScene, doses: Doses) -> AnyScene:
     order = np.abs(across).argmax(1).argsort()
     across = across[order] * np.sign(across[order, np.abs(across[order]).argmax(1)])[:, None]
     turned = rotation_vector_matrix(np.radians(doses) @ across) @ gravity
-    return replace(scene, gravity=(float(turned[0]), float(turned[1]), float(turned[2])))
-
-
-def _has_gravity(situation: Situation) -> bool:
-    return bool(np.linalg.norm(situation.gravity) > 0)
+    return replace(scene, gravity=_vector(turned))
 
 
 TILT = Effect(
@@ -85,7 +85,7 @@ TILT = Effect(
     "external",
     tuple(Dose(f"angle_{i}", "deg", -20.0, 20.0, 0.2, lambda s: 1.0, plausible=5.0) for i in (1, 2)),
     scene=_tilted,
-    applies=_has_gravity,
+    applies=lambda s: any(s.gravity),
     description="gravity is not along the stated direction",
     confusable=("wind", "friction", "camera_pose"),
 )
@@ -117,9 +117,7 @@ QUADRATIC_DRAG = Effect(
 
 
 def _blown(scene: AnyScene, doses: Doses) -> AnyScene:
-    if not np.any(doses):
-        return scene
-    return replace(scene, wind=Wind(velocity=(float(doses[0]), float(doses[1]), 0.0)))
+    return replace(scene, wind=Wind(velocity=_vector(np.append(doses, 0.0)))) if np.any(doses) else scene
 
 
 def _wind_trial(situation: Situation) -> float:
@@ -130,30 +128,19 @@ def _wind_trial(situation: Situation) -> float:
 WIND = Effect(
     "wind",
     "external",
-    tuple(
-        Dose(f"velocity_{axis}", "m/s", -30.0, 30.0, 0.5, _wind_trial, plausible=5.0) for axis in "xy"
-    ),  # a storm at most
+    # a storm at most
+    tuple(Dose(f"velocity_{axis}", "m/s", -30.0, 30.0, 0.5, _wind_trial, plausible=5.0) for axis in "xy"),
     scene=_blown,
     description="moving air pushes sideways",
     confusable=("gravity_tilt",),
 )
 
 
-def _pushed(scene: AnyScene, doses: Doses) -> AnyScene:
-    velocity = np.asarray(scene.initial_velocity, dtype=np.float64) + doses
-    return replace(scene, initial_velocity=(float(velocity[0]), float(velocity[1]), float(velocity[2])))
-
-
-def _spun(scene: AnyScene, doses: Doses) -> AnyScene:
-    spin = np.asarray(scene.initial_angular_velocity, dtype=np.float64) + doses
-    return replace(scene, initial_angular_velocity=(float(spin[0]), float(spin[1]), float(spin[2])))
-
-
 INITIAL_VELOCITY = Effect(
     "initial_velocity",
     "initial state",
     tuple(Dose(f"velocity_{axis}", "m/s", -20.0, 20.0, 0.01, lambda s: 0.05 * np.sqrt(s.size)) for axis in "xyz"),
-    scene=_pushed,
+    scene=lambda scene, doses: replace(scene, initial_velocity=_vector(np.add(scene.initial_velocity, doses))),
     applies=lambda s: s.states_velocity,
     description="the body starts with another velocity than stated",
     confusable=("time_offset",),
@@ -162,7 +149,9 @@ INITIAL_SPIN = Effect(
     "initial_spin",
     "initial state",
     tuple(Dose(f"spin_{axis}", "rad/s", -50.0, 50.0, 0.02, lambda s: 0.1) for axis in "xyz"),
-    scene=_spun,
+    scene=lambda scene, doses: replace(
+        scene, initial_angular_velocity=_vector(np.add(scene.initial_angular_velocity, doses))
+    ),
     applies=lambda s: s.states_spin,
     description="the body starts with another spin than stated",
     confusable=("friction", "plasticity"),

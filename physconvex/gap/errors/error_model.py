@@ -43,11 +43,7 @@ def error_model(
     If the base model is fitted (its tangents are known), the differences are reduced by what E, ν and the free initial
     motion can absorb, like those of the recording.
 
-    Args:
-        base: the base fit.
-        numerics: the differences.
-        options: settings.
-        scale: factor on the differences, one or one per residual, see `error_scale`.
+    `scale` is a factor on the differences, one or one per residual, see `error_scale`.
     """
     here, frames = base.positions, base.observations.frames
     directions = options.error_scale * scale * np.stack([base.change(here + d) for d in numerics.null])
@@ -113,9 +109,7 @@ def path_since_contact(motion: PointMotion, force: Float[np.ndarray, " T"]) -> F
     A model whose impact is 1 % too strong has an error of 1 % of this path. (The distance from the ballistic path would
     serve as well, but it grows for a body at rest.)
 
-    Args:
-        motion: motion of points of the body.
-        force: contact force in each frame [N].
+    `force` is the contact force in each frame [N].
     """
     touched = np.flatnonzero(force > 0)
     if not len(touched):
@@ -139,10 +133,8 @@ def forgiving(errors: ErrorModel, modes: BodyModes) -> ErrorModel:
 def error_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> Float[np.ndarray, " N"]:
     """Factor on the numerical error of each residual, 0.15 to 1.
 
-    Args:
-        base: the base fit.
-        errors: errors with the numerical part from other meshes, steps and contact.
-        screening: effects at that fit; each may explain its part to first order, except numerical ones.
+    The numerical part of `errors` is from other meshes, steps and contact. Each screened effect may explain its part to
+    first order, except numerical ones.
     """
     last, kinds = int(base.split.fitted[-1]), base.modes.kinds
     fitted = _fitted_scale(base, errors, screening)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -57,6 +58,11 @@ class Numerics:
     exact: tuple[TetMesh, Positions] | None = None
 
     @property
+    def directions(self) -> dict[str, Positions]:
+        """Motions of the numerical effects, by name."""
+        return {"time_step": self.implicit_euler, "mesh_resolution": self.mesh, "reduction": self.reduction}
+
+    @property
     def null(self) -> tuple[Positions, ...]:
         """Differences that effect-free captures may show."""
         if self.exact is None or self.finest is None:
@@ -93,6 +99,9 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
             failed.append(name)
             return np.zeros_like(here)
 
+    def changed(**change: Any) -> Positions:
+        return replace(model, **change).motion(values).positions
+
     def stiffer() -> Positions:
         scene = model.full_scene(values)
         scene = replace(scene, contact_stiffness=2 * scene.contact().stiffness)
@@ -105,7 +114,7 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     def finer() -> Positions:
         mesh = other_mesh(base, options, steps)
         fine.append((mesh, replace(model, mesh=mesh).motion(values)))
-        return np.asarray(fine[0][1].positions)
+        return fine[0][1].positions
 
     finest_mesh: list[TetMesh] = []
 
@@ -114,10 +123,10 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
         if nodes * steps > 2 * NUMERICAL_ERROR.finest * NUMERICAL_ERROR.fine_work:
             raise InputError(f"mesh: {nodes:.0f} nodes are too many for {steps} steps")
         finest_mesh.append(_mesh_of(base, int(nodes)))
-        return beyond_fine(replace(model, mesh=finest_mesh[0]))
+        return changed(mesh=finest_mesh[0]) - fine[0][1].positions + here
 
-    def beyond_fine(better: EffectModel) -> Positions:
-        return np.asarray(better.motion(values).positions - fine[0][1].positions + here)
+    def most_exact() -> Positions:
+        return exact_model(model, finest_mesh[0]).motion(values).positions - fine[0][1].positions + here
 
     zero = np.zeros_like(here)
     # the fitted stiffness of a compliant floor is a property of the recording, not an error of the model
@@ -129,18 +138,14 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     linear = model.mesh is not None and model.mesh.order == 1  # the recording's own elements share its errors
     exact = zero
     if quick and not linear:
-        exact = difference(
-            "a mesh finer still, a quarter of the time step", lambda: beyond_fine(exact_model(model, finest_mesh[0]))
-        )
+        exact = difference("a mesh finer still, a quarter of the time step", most_exact)
     return Numerics(
-        steps=difference("half the time step", lambda: replace(model, refinement=2).motion(values).positions),
+        steps=difference("half the time step", lambda: changed(refinement=2)),
         mesh=mesh,
         fine=fine[0] if fine and len(fine[0][0].vertices) * steps <= NUMERICAL_ERROR.fine_work else None,
         nodes=(len(model.twin.mesh.vertices), len(fine[0][0].vertices) if fine else len(model.twin.mesh.vertices)),
         contact=difference("stiffer contact", stiffer) if stiffness_is_chosen else zero,
-        implicit_euler=difference(
-            "implicit Euler", lambda: replace(model, integrator="implicit_euler").motion(values).positions
-        ),
+        implicit_euler=difference("implicit Euler", lambda: changed(integrator="implicit_euler")),
         reduction=difference("the reduced model", lambda: model.reduced_motion(values).positions),
         failed=tuple(failed),
         finest=last if last.any() else None,
@@ -186,10 +191,7 @@ def correction_of(numerics: Numerics) -> MotionCorrection:
 def with_absorbed_mesh(base: Baseline, numerics: Numerics, options: GapOptions) -> Numerics:
     """The differences with that of the meshes taken between their fits; unchanged for a free body.
 
-    Args:
-        base: the base fit, on the finer mesh.
-        numerics: differences at one set of values.
-        options: settings.
+    `base` is the base fit on the finer mesh, and `numerics` has differences at one set of values.
     """
     if not base.situation.clamped or numerics.fine is None or MODULUS not in base.model.base:
         return numerics

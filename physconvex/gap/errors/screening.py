@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
@@ -92,11 +93,7 @@ def screen(
     nuisances = derivatives_of_residuals(base, here[:count], base.tangents[:count])[:, rows]
     projector = Projector(errors.restricted(rows), nuisances)
     residual = base.residual(here)[rows]
-    directions = {
-        "time_step": numerics.implicit_euler,
-        "mesh_resolution": numerics.mesh,
-        "reduction": numerics.reduction,
-    }
+    directions = numerics.directions
     entries, failed = [], []
     for effect in applicable(effects, base.situation):
         if effect.name in {e.name for e in base.model.effects}:
@@ -119,14 +116,13 @@ def _screened(
 ) -> Screened:
     null = np.concatenate([base.fit.values, effect.null])
     motion, here = base.motion.first(model.frames), base.positions[: model.frames]
-    signatures, trials, signs, screened = [], [], [], []
-    for index, doses in effect.trials(base.situation):
+    screened, trials = zip(*effect.trials(base.situation), strict=True)
+    signs = tuple(abs(effect.doses[index].sign) for index in screened)
+    signatures = []
+    for doses in trials:
         without = np.concatenate([base.fit.values, np.where([d.shape for d in effect.doses], doses, effect.null)])
         changed = np.concatenate([base.fit.values, doses])
         signatures.append(model.signature(changed, without if effect.scene is None else null, motion))
-        trials.append(doses)
-        signs.append(abs(effect.doses[index].sign))
-        screened.append(index)
     signature = np.stack(signatures)
     if not np.isfinite(signature).all():
         raise ConvergenceError(f"{effect.label}: the motion is not finite")
@@ -137,19 +133,17 @@ def _screened(
         doses[index], errors[index] = effect.doses[index].estimate(float(amount), float(error), float(trial[index]))
     weights = found.amounts if np.any(found.amounts) else np.ones(len(signature))
     projected = projector.apply(in_residuals)
-    return Screened(
-        effect, found, doses, errors, signature, np.array(trials), weights @ projected, projected, tuple(signs)
-    )
+    profile = weights @ projected
+    return Screened(effect, found, doses, errors, signature, np.array(trials), profile, projected, signs)
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two screened effects together: doses of both, and the gain of their joint score over the better single one."""
+    """Two screened effects with the doses and the statistic of their joint score."""
 
     first: Screened
     second: Screened
     statistic: float
-    gain: float
 
 
 def best_pairs(screening: Screening, count: int) -> list[Pair]:
@@ -161,29 +155,21 @@ def best_pairs(screening: Screening, count: int) -> list[Pair]:
     rows = np.concatenate([entry.projected for entry in entries]) if entries else np.zeros((0, len(left)))
     gram, right, total = rows @ rows.T, rows @ left, float(left @ left)
     ends = np.cumsum([0, *(len(entry.projected) for entry in entries)])
-    found: list[tuple[float, float, int, int, np.ndarray]] = []
-    for i, first in enumerate(entries):
-        for j in range(i + 1, len(entries)):
-            second = entries[j]
-            if first.effect.name == second.effect.name or "numerical" in (first.effect.source, second.effect.source):
-                continue
-            index = np.r_[ends[i] : ends[i + 1], ends[j] : ends[j + 1]]
-            amounts, explained = _joint(gram[np.ix_(index, index)], right[index], total, first.signs + second.signs)
-            gain = explained - max(first.score.statistic, second.score.statistic)
-            if np.any(amounts[: len(first.signs)]) and np.any(amounts[len(first.signs) :]):
-                found.append((explained, gain, i, j, amounts))
-    found.sort(key=lambda row: -row[0])
-    out, seen = [], set()
-    for explained, gain, i, j, amounts in found:
-        names = frozenset((entries[i].effect.name, entries[j].effect.name))
-        if names not in seen:
-            seen.add(names)
-            cut = len(entries[i].signs)
-            pair = Pair(_dosed(entries[i], amounts[:cut]), _dosed(entries[j], amounts[cut:]), explained, gain)
-            out.append(pair)
-        if len(out) == count:
-            break
-    return out
+    found: list[tuple[float, Screened, Screened, np.ndarray]] = []
+    for (i, first), (j, second) in combinations(enumerate(entries), 2):
+        if first.effect.name == second.effect.name or "numerical" in (first.effect.source, second.effect.source):
+            continue
+        index = np.r_[ends[i] : ends[i + 1], ends[j] : ends[j + 1]]
+        amounts, explained = _joint(gram[np.ix_(index, index)], right[index], total, first.signs + second.signs)
+        if np.any(amounts[: len(first.signs)]) and np.any(amounts[len(first.signs) :]):
+            found.append((explained, first, second, amounts))
+    best: dict[frozenset[str], Pair] = {}
+    for explained, first, second, amounts in sorted(found, key=lambda row: -row[0]):
+        names = frozenset((first.effect.name, second.effect.name))
+        if names not in best and len(best) < count:
+            cut = len(first.signs)
+            best[names] = Pair(_dosed(first, amounts[:cut]), _dosed(second, amounts[cut:]), explained)
+    return list(best.values())
 
 
 def _joint(gram: np.ndarray, right: np.ndarray, total: float, signs: tuple[int, ...]) -> tuple[np.ndarray, float]:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
+from physconvex.gap.base.baseline import FLOOR_LAW
+from physconvex.gap.base.model import MODULUS
 from physconvex.gap.effects.effect import Situation
 from physconvex.gap.errors.screening import Screening
 from physconvex.gap.judgement.naming import Verdict
@@ -55,11 +59,12 @@ def caveats_of(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, .
     out = ["Density and E cannot be told apart from motion: E holds for the stated density."]
     out += _floor(base)
     out += _elements(base)
-    moved = _moved(base, best)
-    if moved is not None and abs(moved) > np.log10(1 + VERDICT.absorbed):
-        out.append(
-            f"E changed by {10**moved - 1:+.0%} when the effect was added: the plain model's E had absorbed part of it."
-        )
+    if MODULUS in base.model.base:
+        index = base.model.base.index(MODULUS)
+        moved = float(best.values[index] - base.values[index])
+        if abs(moved) > np.log10(1 + VERDICT.absorbed):
+            changed = f"E changed by {10**moved - 1:+.0%} when the effect was added"
+            out.append(f"{changed}: the plain model's E had absorbed part of it.")
     if any(effect.source == "numerical" for effect in best.effects):
         out.append(
             "The best explanation is a numerical error, of this model or of the program that made the recording."
@@ -94,24 +99,14 @@ def _elements(base: Hypothesis) -> list[str]:
 
 def _floor(base: Hypothesis) -> list[str]:
     """Deviations that are attributed to the floor."""
-    names = base.model.base
-    if "contact_damping" not in names:
+    if FLOOR_LAW[0] not in base.model.base:
         return []
-    stiffness = 10 ** base.values[names.index("log10_contact_stiffness")]
-    dashpot = base.values[names.index("contact_damping")]
+    stiffness, dashpot = (base.values[base.model.base.index(name)] for name in FLOOR_LAW)
     return [
-        f"The floor gives way: its stiffness ({stiffness:.2g} Pa/m) and dashpot ({1e3 * dashpot:.2g} ms) were "
+        f"The floor gives way: its stiffness ({10**stiffness:.2g} Pa/m) and dashpot ({1e3 * dashpot:.2g} ms) were "
         "fitted beside E: the capture does not state them. If the real floor is hard, read the "
         "dashpot as `restitution`."
     ]
-
-
-def _moved(base: Hypothesis, best: Hypothesis) -> float | None:
-    names = base.model.base
-    if "log10_youngs_modulus" not in names:
-        return None
-    index = names.index("log10_youngs_modulus")
-    return float(best.values[index] - base.values[index])
 
 
 def next_experiment(verdict: Verdict, situation: Situation) -> str:
@@ -121,15 +116,11 @@ def next_experiment(verdict: Verdict, situation: Situation) -> str:
             "Record the same motion again: what returns in a second take is physics, what does not is the recording. "
             "Then look at where the residual starts, in time and on the body."
         )
-    names = [effect.name for effect in verdict.effects]
-    for effect in verdict.effects:
-        names += list(effect.confused_with)
-    names = list(dict.fromkeys(names))
-    for i, first in enumerate(names):
-        for second in names[i + 1 :]:
-            text = _PAIRS.get(frozenset((first, second)))
-            if text:
-                return f"To tell {first} from {second}: {text}."
+    confused = (name for effect in verdict.effects for name in effect.confused_with)
+    names = dict.fromkeys([*(effect.name for effect in verdict.effects), *confused])
+    for first, second in combinations(names, 2):
+        if text := _PAIRS.get(frozenset((first, second))):
+            return f"To tell {first} from {second}: {text}."
     if verdict.name in ("none", "inconclusive"):
         how = "pull it further before letting go" if situation.clamped else "drop it from twice the height"
         return f"For a sharper answer {how}, or measure with less noise: deviations grow faster than noise does."

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.stats import norm
 
-from physconvex.gap.effects.effect import Effect
+from physconvex.gap.effects.effect import Dose, Effect
 from physconvex.gap.errors.screening import Screening
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
@@ -29,6 +30,12 @@ class NamedDose:
     lower: float
     upper: float
     null: float
+
+    @classmethod
+    def within(cls, dose: Dose, value: float, width: float) -> NamedDose:
+        """A value with an interval of a half width, both sides cut at the bounds of the dose."""
+        lower, upper = np.clip([value - width, value + width], dose.lower, dose.upper)
+        return cls(dose.name, dose.unit, float(value), float(lower), float(upper), dose.null)
 
 
 @dataclass(frozen=True)
@@ -76,15 +83,13 @@ def favoured(hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
 def probabilities(hypotheses: Sequence[Hypothesis], other: float = -np.inf) -> dict[str, float]:
     """Probability by label: softmax of the evidence, one hypothesis per set of names.
 
-    Args:
-        hypotheses: the fits.
-        other: evidence of an effect outside the hypotheses.
+    `other` is the evidence of an effect outside the hypotheses.
     """
-    best: dict[tuple[str, ...], Hypothesis] = {}
+    best: dict[frozenset[str], Hypothesis] = {}
     for hypothesis in hypotheses:
-        names = tuple(sorted(hypothesis.names))
-        if names not in best or hypothesis.evidence > best[names].evidence:
-            best[names] = hypothesis
+        same = best.setdefault(frozenset(hypothesis.names), hypothesis)
+        if hypothesis.evidence > same.evidence:
+            best[frozenset(hypothesis.names)] = hypothesis
     kept = list(best.values())
     evidence = np.array([*(h.evidence for h in kept), other])
     weights = np.exp(evidence - evidence.max())
@@ -154,53 +159,28 @@ def _form_errors(effect: Effect, doses: np.ndarray, *, held: bool) -> np.ndarray
 
 
 def named_effects(
-    hypothesis: Hypothesis,
-    hypotheses: Sequence[Hypothesis],
-    probability: dict[str, float],
-    screening: Screening,
+    hypothesis: Hypothesis, hypotheses: Sequence[Hypothesis], probability: dict[str, float], screening: Screening,
     options: GapOptions,
-) -> list[NamedEffect]:
-    """Effects of a fit.
-
-    Args:
-        hypothesis: the fit.
-        hypotheses: all fits; others may have the same effects.
-        probability: by label.
-        screening: gives the similar effects.
-        options: gives the confidence of intervals.
-    """
-    from scipy.stats import norm
-
+) -> list[NamedEffect]:  # fmt: skip
+    """Effects of a fit, with the doses of all fits that have them, and the similar effects of the screening."""
     width = float(norm.ppf(0.5 + options.confidence / 2))
     by_label = {entry.effect.label: entry for entry in screening.ranked}
+    known = ("base model", SOMETHING_ELSE, hypothesis.label)
+    single = [n for n, p in probability.items() if p > VERDICT.rival and n not in known and " + " not in n]
+    rivals = [label.split(" (")[0] for label in single]
     out = []
     for effect in hypothesis.effects:
         values, errors = hypothesis.doses(effect)[0], _errors(effect, hypothesis, hypotheses, probability)
-        doses = tuple(
-            NamedDose(
-                d.name, d.unit, float(v), float(np.clip(v - width * e, d.lower, d.upper)),
-                float(np.clip(v + width * e, d.lower, d.upper)), d.null,
-            )
-            for d, v, e in zip(effect.doses, values, errors, strict=True)
-        )  # fmt: skip
+        doses = tuple(map(NamedDose.within, effect.doses, values, width * errors))
         own = by_label[effect.label]
         alike = [
             e.effect.name
             for e in screening.one_per_name
             if e.effect.name != effect.name and screening.similarity(own, e) > _alike(effect, e.effect)
         ]
-        rivals = [
-            label.split(" (")[0]
-            for label, p in probability.items()
-            if p > VERDICT.rival
-            and label != hypothesis.label
-            and label not in ("base model", SOMETHING_ELSE)
-            and " + " not in label
-        ]
         confused = tuple(dict.fromkeys(n for n in [*alike, *rivals] if n != effect.name))
-        out.append(
-            NamedEffect(effect.name, effect.variant, effect.source, _of_name(effect.name, probability), doses, confused)
-        )
+        likely = _of_name(effect.name, probability)
+        out.append(NamedEffect(effect.name, effect.variant, effect.source, likely, doses, confused))
     return out
 
 

@@ -25,12 +25,6 @@ def gain_in_flight(base: Baseline, errors: ErrorModel, best: Hypothesis, plain: 
     """Gain of log-likelihood by effects in the frames before the first contact, less ½ k ln n for their k doses.
 
     −∞ without a later contact, or if they leave more than noise and numerical error there (its last frame aside).
-
-    Args:
-        base: the base fit.
-        errors: weights.
-        best: the effects.
-        plain: the base model.
     """
     fitted, struck = base.split.fitted, base.modes.struck
     information = information_by_kind(base, errors, fitted)
@@ -52,11 +46,6 @@ def left_in_flight(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypo
 
     The last frame before the contact does not count. 0 if residuals are not divided by contact (for held bodies, and
     for points that a video may lose).
-
-    Args:
-        base: the base fit.
-        errors: errors of the residuals.
-        hypotheses: all fits.
     """
     frames = base.observations.frames
     flying = ~base.modes.struck[base.modes.kinds]
@@ -116,20 +105,14 @@ class Measured:
 
 
 def measure(
-    base: Baseline,
-    errors: ErrorModel,
-    weights: ErrorModel,
-    best: Hypothesis,
-    hypotheses: Sequence[Hypothesis],
-    *,
+    base: Baseline, errors: ErrorModel, weights: ErrorModel, best: Hypothesis, hypotheses: Sequence[Hypothesis], *,
     shrinkage: Sequence[HowFar],
-) -> Measured:
+) -> Measured:  # fmt: skip
     """The measures of one capture.
 
     Args:
         base: the full-order base fit.
-        errors: errors of the residuals.
-        weights: the errors for the choice between effects.
+        errors, weights: errors of the residuals, and those for the choice between effects.
         best: the reported effects, or the base model.
         hypotheses: all fits.
         shrinkage: on the frames reserved for the report, and last on all held-out frames.

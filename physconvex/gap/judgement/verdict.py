@@ -6,13 +6,7 @@ from collections.abc import Sequence
 
 from physconvex.gap.effects.effect import IN_FLIGHT
 from physconvex.gap.errors.screening import Screening
-from physconvex.gap.judgement.naming import (
-    SOMETHING_ELSE,
-    Verdict,
-    beside_something_else,
-    favoured,
-    probabilities,
-)
+from physconvex.gap.judgement.naming import SOMETHING_ELSE, Verdict, beside_something_else, favoured, probabilities
 from physconvex.gap.judgement.residual_measures import Measured
 from physconvex.gap.judgement.verdict_input import VerdictInput
 from physconvex.gap.options import GapOptions
@@ -23,14 +17,7 @@ from physconvex.gap.thresholds import VERDICT
 def decide(
     hypotheses: Sequence[Hypothesis], screening: Screening, measured: Measured, options: GapOptions
 ) -> Verdict:  # fmt: skip
-    """The verdict of the first rule that holds.
-
-    Args:
-        hypotheses: the base model and fits, best evidence first.
-        screening: gives similar effects.
-        measured: residual measures of the base model and of the best effects.
-        options: settings.
-    """
+    """The verdict of the first rule that holds, from the base model and fits, best evidence first."""
     base = next(h for h in hypotheses if not h.effects)
     best = favoured(hypotheses)
     shown = probabilities(hypotheses, measured.other)
@@ -50,9 +37,7 @@ def decide(
 
 def _wide_open(e: VerdictInput) -> Verdict | None:
     """A gap far above any error of the model, which the best effects leave."""
-    if not e.left_wide_open or e.flies:
-        return None
-    return _unknown(e)
+    return _unknown(e) if e.left_wide_open and not e.flies else None
 
 
 def _nothing(e: VerdictInput) -> Verdict | None:
@@ -81,9 +66,7 @@ def _nothing(e: VerdictInput) -> Verdict | None:
             f"{e.best.label}, which fits best, does not foretell it."
         )
         return e.verdict("inconclusive", sentence, power=True)
-    reason = "is no more than chance"
-    if closed:
-        reason = "lies within these errors"
+    reason = "lies within these errors" if closed else "is no more than chance"
     if e.best.is_slight():
         reason = "is smaller than is of interest"
     sentence = f"No gap above noise and numerical error: what {e.best.label} would add {reason}."
@@ -154,11 +137,8 @@ def _off_the_recording(e: VerdictInput) -> Verdict | None:
 
 def _unexplained(e: VerdictInput) -> Verdict | None:
     """A gap that the best effects leave; the part within the model's own error needs no explanation."""
-    if (
-        max(e.measured.share, e.measured.above_error) >= e.options.explained
-        or e.measured.after <= VERDICT.left_over
-        or e.flies
-    ):
+    explained = max(e.measured.share, e.measured.above_error) >= e.options.explained
+    if explained or e.measured.after <= VERDICT.left_over or e.flies:
         return None
     if e.measured.struck and (e.best.fitted < VERDICT.floor or e.measured.forgiven <= VERDICT.left_over):
         sentence = (

@@ -110,11 +110,14 @@ class VerdictInput:
         """Probability of the base model."""
         return self.probability.get("base model", 0.0)
 
+    def _effects_of(self, fit: Hypothesis) -> list[NamedEffect]:
+        return named_effects(fit, self.hypotheses, self.probability, self.screening, self.options)
+
     @property
     def named(self) -> tuple[NamedEffect, ...]:
         """Effects of the best fit, without those with doses below the smallest of interest."""
         slight = {effect.name for effect in self.best.effects if self.best.is_slight(effect)}
-        found = named_effects(self.best, self.hypotheses, self.probability, self.screening, self.options)
+        found = self._effects_of(self.best)
         kept = [effect for effect in found if effect.name not in slight] or found
         if self.in_flight_alone:
             kept = [effect for effect in kept if effect.source in IN_FLIGHT] or kept
@@ -130,7 +133,7 @@ class VerdictInput:
             and h is not self.best
             and h.names[0] not in self.best.names
             and self.probability.get(h.label, 0.0) > VERDICT.listed
-            for effect in named_effects(h, self.hypotheses, self.probability, self.screening, self.options)
+            for effect in self._effects_of(h)
         ]
         return (*self.named, *others)
 
@@ -143,7 +146,7 @@ class VerdictInput:
         found: dict[str, NamedEffect] = {}
         for h in self.hypotheses:
             if set(h.names) > set(self.best.names) and h.foretells_more_than(self.best):
-                for effect in named_effects(h, self.hypotheses, self.probability, self.screening, self.options):
+                for effect in self._effects_of(h):
                     if effect.name not in self.best.names and effect.probability > VERDICT.listed:
                         found.setdefault(effect.name, effect)
         return tuple(found.values())

@@ -108,13 +108,7 @@ class ImageFinding:
 
 
 def image_findings(base: Baseline, effects: Sequence[Effect], options: GapOptions) -> tuple[ImageFinding, ...]:
-    """Results for effects of image formation; none if markers are compared.
-
-    Args:
-        base: the base fit, for the points and the surface.
-        effects: the dictionary.
-        options: gives the confidence, and the least share of the gap that a named effect must remove.
-    """
+    """Results for effects of image formation; none if markers are compared."""
     seen = base.observations
     tried = [effect for effect in effects if effect.photograph is not None and effect.applies(base.situation)]
     if not tried or not isinstance(seen, PixelObservations):
@@ -158,7 +152,6 @@ def finding_of(
     first, fitted, judging = effect.doses[0], series.every_other(0), series.every_other(1)
     dose, error, gain = fit_series(fitted, first.null)
     width = error * float(norm.ppf(0.5 + options.confidence / 2))
-    lower, upper = np.clip([dose - width, dose + width], first.lower, first.upper)
     before, after, floor = judging.missed(first.null), judging.missed(dose), float((judging.errors**2).mean())
     share = _share(before, after, floor)
     placebo = _placebo(effect, situation, statistic, compared, before=before, floor=floor)
@@ -170,20 +163,12 @@ def finding_of(
     )
     named = NamedEffect(
         effect.name, effect.variant, effect.source, VERDICT.trusted / (1 + float(np.exp(-gain))),
-        (NamedDose(first.name, first.unit, dose, float(lower), float(upper), first.null),), (),
+        (NamedDose.within(first, dose, width),), (),
     )  # fmt: skip
     return ImageFinding(
-        effect,
-        named,
-        called,
-        statistic.name,
-        gap_before=float(np.sqrt(before)),
-        gap_after=float(np.sqrt(after)),
-        noise_floor=float(np.sqrt(floor)),
-        shrinkage=share,
-        placebo=placebo,
-        series=series,
-    )
+        effect, named, called, statistic.name, gap_before=float(np.sqrt(before)), gap_after=float(np.sqrt(after)),
+        noise_floor=float(np.sqrt(floor)), shrinkage=share, placebo=placebo, series=series,
+    )  # fmt: skip
 
 
 def series_of(
@@ -216,14 +201,9 @@ def series_of(
     medians = np.array([[np.median(values[rows]) for rows in per_frame] for values in foretold])
     if np.ptp(medians, axis=0).max() < statistic.floor:
         return None
-    errors = [_median_error(seen[rows]) for rows in per_frame]
-    return Series(
-        frames,
-        np.array([np.median(seen[rows]) for rows in per_frame]),
-        np.hypot(errors, statistic.floor),
-        doses,
-        medians,
-    )
+    middle = np.array([np.median(seen[rows]) for rows in per_frame])
+    errors = np.hypot([_median_error(seen[rows]) for rows in per_frame], statistic.floor)
+    return Series(frames, middle, errors, doses, medians)
 
 
 def fit_series(series: Series, null: float) -> tuple[float, float, float]:

@@ -49,13 +49,8 @@ def light_of(frames: UInt8[np.ndarray, "T H W 3"]) -> Grey:
 def still_patches(light: Grey, seen: PixelObservations, fps: float, outline: Outline) -> Compared:
     """Patches of a background grid that the body covers neither in the first picture nor in that frame.
 
-    A completely white background is also used: it shows darkening, though not brightening.
-
-    Args:
-        light: light of the pictures.
-        seen: the tracked points.
-        fps: frames per second.
-        outline: place of the body in the first picture.
+    A completely white background is also used: it shows darkening, though not brightening. `outline` is the place of
+    the body in the first picture.
     """
     height, width = light.shape[1:]
     grids = np.arange(HALF, height - HALF, _SPACING), np.arange(HALF, width - HALF, _SPACING)
@@ -84,12 +79,9 @@ def _cut(light: Float[np.ndarray, "H W"], rows: np.ndarray, columns: np.ndarray)
 
 
 def _covered(
-    first: Float[np.ndarray, "P 2"],
-    points: Float[np.ndarray, "P 2"],
-    outline: Outline,
-    rows: np.ndarray,
+    first: Float[np.ndarray, "P 2"], points: Float[np.ndarray, "P 2"], outline: Outline, rows: np.ndarray,
     columns: np.ndarray,
-) -> Bool[np.ndarray, " N"]:
+) -> Bool[np.ndarray, " N"]:  # fmt: skip
     """Whether the body may cover patches, from the widened box of the points; all patches if no point is known."""
     known = np.isfinite(points).all(1)
     if not known.any() or not outline.any():
@@ -102,14 +94,7 @@ def _covered(
 
 
 def body_patches(light: Grey, seen: PixelObservations, fps: float, outline: Outline) -> Compared:
-    """Patches about the tracked points that the body fills in the first picture.
-
-    Args:
-        light: light of the pictures.
-        seen: the points.
-        fps: frames per second.
-        outline: place of the body in the first picture.
-    """
+    """Patches about the tracked points that the body fills in the first picture, where it has this `outline`."""
     inner = cv2.erode(outline.astype(np.uint8), np.ones((2 * HALF + 1, 2 * HALF + 1), np.uint8)) > 0
     places = seen.pixels[0] - 0.5  # in pixel centres
     height, width = light.shape[1:]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -59,8 +60,8 @@ def vibrations(base: Baseline, best: Hypothesis) -> tuple[Mode, ...]:
         if share < LOCALISATION.shape_share:
             break
         found, errors = damped_sine_fit((observed - mean) @ shape, fps)
-        out.append(Mode(float(share), found, errors, damped_sine_fit((plain - mean) @ shape, fps)[0],
-                        damped_sine_fit((improved - mean) @ shape, fps)[0]))  # fmt: skip
+        modelled = [damped_sine_fit((motion - mean) @ shape, fps)[0] for motion in (plain, improved)]
+        out.append(Mode(float(share), found, errors, *modelled))
     return tuple(out)
 
 
@@ -79,15 +80,13 @@ class Entry:
 
     phase: str
     frames: tuple[int, int]
-    impulse: tuple[float, float, float]
-    angular_impulse: tuple[float, float, float]
+    impulse: tuple[float, ...]
+    angular_impulse: tuple[float, ...]
     work: float
     impulse_error: float
 
 
-def _rigid_motion(
-    positions: Float[np.ndarray, "T P 3"], fps: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+def _rigid_motion(positions: Float[np.ndarray, "T P 3"], fps: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centre [T, 3], its velocity and the spin [T, 3] of a cloud of points, by central differences of the points."""
     velocity = np.gradient(positions, 1 / fps, axis=0)
     centre, mean = positions.mean(1), velocity.mean(1)
@@ -124,13 +123,17 @@ def impulses(base: Baseline, phases: tuple[str, ...]) -> tuple[Entry, ...]:
     gain, push, turn = energy[0] - energy[1], mass * (real[1] - model[1]), inertia * (real[2] - model[2])
     sigma = float(np.median(seen.sigma[:, points]))
     error = mass * sigma * fps / np.sqrt(len(points))
-    out, start = [], 0
+    out = []
+    for name, start, last in ranges_of(phases):
+        impulse, angular, work = (part[last] - part[max(start - 1, 0)] for part in (push, turn, gain))
+        out.append(Entry(name, (start, last), tuple(impulse.tolist()), tuple(angular.tolist()), float(work), error))
+    return tuple(out)
+
+
+def ranges_of(phases: Sequence[str]) -> Iterator[tuple[str, int, int]]:
+    """Name, first and last frame of each phase in turn."""
+    start = 0
     for name, group in groupby(phases):
         end = start + len(list(group))
-        first, last = max(start - 1, 0), end - 1
-        out.append(Entry(
-            name, (start, last), tuple(float(x) for x in push[last] - push[first]),  # type: ignore[arg-type]
-            tuple(float(x) for x in turn[last] - turn[first]), float(gain[last] - gain[first]), error,  # type: ignore[arg-type]
-        ))  # fmt: skip
+        yield name, start, end - 1
         start = end
-    return tuple(out)

@@ -7,8 +7,8 @@ runs for that, since effects of the observation and numerical ones act on known 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import permutations
+from dataclasses import replace
+from itertools import combinations, permutations
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -19,28 +19,6 @@ from physconvex.gap.search.hypothesis import Hypothesis
 
 Squares = Float[np.ndarray, " T"]
 _GROUPS = ("dynamics", "observation", "numerical")
-
-
-@dataclass(frozen=True, eq=False)
-class Budget:
-    """Mean squares by frame [m²], shape [T] each; NaN if nothing is seen.
-
-    Attributes:
-        noise: noise of the observation.
-        numerical: error of mesh, step and contact within the best fit's residual, and the part of numerical effects.
-        geometry: deviation of the first frame, before any motion, beyond noise: misplaced markers, or a body of another
-            shape. It persists in later frames. It is zero for tracked points, which start there.
-        observation: part explained by effects of cameras and clocks.
-        dynamics: part explained by all other effects.
-        unexplained: the rest.
-    """
-
-    noise: Squares
-    numerical: Squares
-    geometry: Squares
-    observation: Squares
-    dynamics: Squares
-    unexplained: Squares
 
 
 def squares_by_frame(
@@ -54,8 +32,15 @@ def squares_by_frame(
         return np.asarray(base.components * total / np.where(seen, seen, np.nan))
 
 
-def budget_of(base: Baseline, errors: ErrorModel, best: Hypothesis) -> Budget:
-    """The gap of the base model by source."""
+def budget_of(base: Baseline, errors: ErrorModel, best: Hypothesis) -> dict[str, Squares]:
+    """The gap of the base model by source: mean squares by frame [m²], shape [T] each; NaN if nothing is seen.
+
+    - Noise of the observation.
+    - Discretisation: error of mesh, step and contact within the best fit's residual, and the part of numerical effects.
+    - Geometry: deviation of the first frame, before any motion, beyond noise: misplaced markers, or a body of another
+      shape. It persists in later frames. It is zero for tracked points, which start there.
+    - Parts explained by effects of cameras and clocks, and by all other effects; and the rest.
+    """
     noise, expected = base.lengths**2, errors.expected * base.lengths**2
     total, left = (squares_by_frame(base, base.missed(x) ** 2) for x in (base.positions, best.positions))
     quiet, floor = squares_by_frame(base, noise), squares_by_frame(base, expected)
@@ -63,14 +48,14 @@ def budget_of(base: Baseline, errors: ErrorModel, best: Hypothesis) -> Budget:
     above = np.clip(left - quiet, 0.0, None)
     geometry = np.minimum(above, np.nan_to_num(above[0]))
     numerical = np.clip(np.minimum(left, floor) - quiet, 0.0, above - geometry)
-    return Budget(
-        noise=np.minimum(quiet, total),
-        numerical=numerical + shares[2],
-        geometry=geometry,
-        observation=shares[1],
-        dynamics=shares[0],
-        unexplained=above - geometry - numerical,
-    )
+    return {
+        "noise": np.minimum(quiet, total),
+        "discretisation": numerical + shares[2],
+        "appearance and geometry": geometry,
+        "camera and time": shares[1],
+        "dynamics explained": shares[0],
+        "unexplained": above - geometry - numerical,
+    }
 
 
 def reduction_by_frame(base: Baseline) -> Squares | None:
@@ -84,7 +69,8 @@ def reduction_by_frame(base: Baseline) -> Squares | None:
 
 def _explained(base: Baseline, best: Hypothesis) -> Float[np.ndarray, "3 T"]:
     """Reduction of the squares by dynamics, observation and numerical effects, by frame."""
-    known = {frozenset(group): _left(base, best, frozenset(group)) for group in _subsets()}
+    subsets = [frozenset(group) for count in range(4) for group in combinations(range(3), count)]
+    known = {groups: _left(base, best, groups) for groups in subsets}
     shares = np.zeros((3, base.model.frames))
     orders = list(permutations(range(3)))
     for order in orders:
@@ -95,20 +81,13 @@ def _explained(base: Baseline, best: Hypothesis) -> Float[np.ndarray, "3 T"]:
     return np.asarray(helping * taken / np.maximum(helping.sum(0), 1e-300))
 
 
-def _subsets() -> list[tuple[int, ...]]:
-    return [tuple(i for i in range(3) if code >> i & 1) for code in range(8)]
-
-
 def _left(base: Baseline, best: Hypothesis, groups: frozenset[int]) -> Squares:
     """Squares by frame with some groups of the best effects alone, the others at their null doses."""
     values = best.values.copy()
     for effect, where in zip(best.model.effects, best.model.slices, strict=True):
-        if _group(effect.source) not in groups:
+        group = _GROUPS.index(effect.source) if effect.source in _GROUPS else 0
+        if group not in groups:
             values[where] = effect.null
     motion, correction = (best.motion, best.model.correction) if 0 in groups else (base.motion, base.model.correction)
     positions = replace(best.model, correction=correction).observed(motion, values)
     return squares_by_frame(base, base.missed(positions) ** 2)
-
-
-def _group(source: str) -> int:
-    return _GROUPS.index(source) if source in _GROUPS else 0

@@ -120,7 +120,7 @@ def locate_gap(base: Baseline, errors: ErrorModel, best: Hypothesis, options: Ga
     before = base.missed(base.positions) ** 2
     total, left = squares_by_frame(base, before), squares_by_frame(base, base.missed(best.positions) ** 2)
     floor = squares_by_frame(base, errors.expected * base.lengths**2)
-    budget, reduction = budget_of(base, errors, best), reduction_by_frame(base)
+    reduction = reduction_by_frame(base)
     speed = np.linalg.norm(base.motion.velocities, axis=-1).mean(1)
     phases = phases_of(base.contact_force, speed)
     order = list(dict.fromkeys(phases))
@@ -128,19 +128,11 @@ def locate_gap(base: Baseline, errors: ErrorModel, best: Hypothesis, options: Ga
     seen = np.maximum(np.bincount(observations.point_indices, minlength=len(observations.points)), 1)
     per_point = np.sqrt(base.components * by_point / seen)
     mesh = base.model.twin.mesh
-    regions = _regions(base, before, options)
     return Where(
-        sources=(
-            _part("noise", budget.noise, options),
-            _part("discretisation", budget.numerical, options),
-            _part("appearance and geometry", budget.geometry, options),
-            _part("camera and time", budget.observation, options),
-            _part("dynamics explained", budget.dynamics, options),
-            _part("unexplained", budget.unexplained, options),
-        ),
+        sources=tuple(_part(name, squares, options) for name, squares in budget_of(base, errors, best).items()),
         reduction=None if reduction is None else _part("reduction", reduction, options),
         phases=tuple(_part(n, total[[p == n for p in phases]], options) for n in order),
-        regions=regions,
+        regions=_regions(base, before, options),
         image=_image(base, before, options),
         modes=vibrations(base, best),
         ledger=impulses(base, phases),
@@ -164,13 +156,12 @@ def _image(base: Baseline, squares: np.ndarray, options: GapOptions) -> tuple[Pa
         return ()
     pixels = seen.pixels[seen.frames, seen.point_indices]
     shares = np.clip(np.nan_to_num(3 * pixels / [seen.camera.w, seen.camera.h]).astype(int), 0, 2)
-    out = []
-    for row, height in enumerate(("top", "middle", "bottom")):
-        for column, side in enumerate(("left", "centre", "right")):
-            rows = (shares == [column, row]).all(1)
-            if rows.any():
-                out.append(_part(f"{height} {side}", squares_by_frame(base, squares, rows), options))
-    return tuple(out)
+    return tuple(
+        _part(f"{height} {side}", squares_by_frame(base, squares, rows), options)
+        for row, height in enumerate(("top", "middle", "bottom"))
+        for column, side in enumerate(("left", "centre", "right"))
+        if (rows := (shares == [column, row]).all(1)).any()
+    )
 
 
 def _regions(base: Baseline, squares: np.ndarray, options: GapOptions) -> tuple[Part, ...]:
@@ -187,9 +178,8 @@ def _regions(base: Baseline, squares: np.ndarray, options: GapOptions) -> tuple[
         third = np.minimum((3 * (coordinate - low) / max(high - low, 1e-12)).astype(int), 2)
         for index, name in enumerate(("lowest", "middle", "highest")):
             rows = third[observations.point_indices] == index
-            if not rows.any():
-                continue
-            out.append(_part(f"{name} third along {axis}", squares_by_frame(base, squares, rows), options))
+            if rows.any():
+                out.append(_part(f"{name} third along {axis}", squares_by_frame(base, squares, rows), options))
     return tuple(out)
 
 

@@ -110,27 +110,18 @@ class GapFindings:
             "where": _where_json(self.where),
             "which": {
                 "verdict": self.verdict.name,
-                "sentence": self.verdict.sentence,
-                "none_probability": self.verdict.none_probability,
-                "effects": [_effect_json(e) for e in self.verdict.effects],
-                "caveats": list(self.verdict.caveats),
-                "screening": [_screened_json(s) for s in self.screening.ranked],
-                "hypotheses": [
-                    {"effects": list(h.names), "label": h.label, "evidence": h.evidence} for h in self.hypotheses
-                ],
+                **_picked(self.verdict, "sentence", "none_probability"),
+                "effects": [_effect_json(effect) for effect in self.verdict.effects],
+                "caveats": self.verdict.caveats,
+                "screening": [_screened_json(entry) for entry in self.screening.ranked],
+                "hypotheses": [{"effects": h.names, "label": h.label, "evidence": h.evidence} for h in self.hypotheses],
             },
             "how_far": {
-                "gap_before": main.gap_before,
-                "gap_after": main.gap_after,
-                "noise_floor": main.noise_floor,
-                "shrinkage": main.shrinkage,
+                **_picked(main, "gap_before", "gap_after", "noise_floor", "shrinkage"),
                 "interval": [main.lower, main.upper],
-                "net_shrinkage": main.net_shrinkage,
-                "placebo": _number(main.placebo),
-                "placebo_effect": main.placebo_effect,
-                "data": main.data,
+                **_picked(main, "net_shrinkage", "placebo", "placebo_effect", "data"),
                 "unit": "m",
-                "all": [{k: _number(v) for k, v in asdict(part).items()} for part in self.how_far],
+                "all": [asdict(part) for part in self.how_far],
                 "parameters": [asdict(row) for row in self.parameters],
             },
             "pictures": [_picture_json(finding, self.base.capture.fps) for finding in self.pictures],
@@ -142,7 +133,7 @@ class GapFindings:
 
 
 def _plain(value: object) -> JsonValue:
-    """The value in JSON types: no arrays and no NumPy numbers."""
+    """The value in JSON types: no arrays and no NumPy numbers, and None in place of a number that is not finite."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, dict):
@@ -150,33 +141,35 @@ def _plain(value: object) -> JsonValue:
     if isinstance(value, list | tuple):
         return [_plain(part) for part in value]
     assert value is None or isinstance(value, str | int | float), type(value)
-    return value
-
-
-def _number(value: object) -> object:
-    """None in place of a number that is not finite."""
     return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _picked(thing: object, *names: str) -> Content:
+    """Some attributes by name."""
+    return {name: getattr(thing, name) for name in names}
 
 
 def _parts(parts: tuple[Part, ...]) -> list[Content]:
     return [{"name": p.name, "rms": p.value, "interval": [p.lower, p.upper], "unit": "m"} for p in parts]
 
 
+def _rows(columns: Content) -> list[Content]:
+    """A table of columns as one object per row."""
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
 def _where_json(where: Where) -> Content:
-    frames = [
-        {"frame": i, "time": float(t), "phase": phase, "before": _number(b), "after": _number(a), "floor": _number(f)}
-        for i, (t, phase, b, a, f) in enumerate(
-            zip(where.times, where.phase_names, where.per_frame, where.per_frame_after, where.per_frame_floor,
-                strict=True)
-        )
-    ]  # fmt: skip
+    frames = _rows({
+        "frame": range(len(where.times)), "time": where.times, "phase": where.phase_names, "before": where.per_frame,
+        "after": where.per_frame_after, "floor": where.per_frame_floor,
+    })  # fmt: skip
     return {
         "sources": _parts(where.sources),
         "reduction": None if where.reduction is None else _parts((where.reduction,))[0],
         "phases": _parts(where.phases),
         "regions": _parts(where.regions),
         "frames": frames,
-        "points": {"rest": where.points.tolist(), "rms": where.per_point.tolist(), "unit": "m"},
+        "points": {"rest": where.points, "rms": where.per_point, "unit": "m"},
         "image": _parts(where.image),
         "modes": [_mode_json(mode) for mode in where.modes],
         "ledger": [
@@ -188,64 +181,40 @@ def _where_json(where: Where) -> Content:
 
 def _picture_json(finding: ImageFinding, fps: float) -> Content:
     series, dose = finding.series, finding.named.doses[0].value
-    frames = [
-        {"frame": int(t), "time": t / fps, "seen": float(seen), "error": float(error), "foretold": float(told)}
-        for t, seen, error, told in zip(series.frames, series.seen, series.errors, series.at(dose), strict=True)
-    ]
-    return {
-        **_effect_json(finding.named),
-        "called": finding.called,
-        "statistic": finding.statistic,
-        "gap_before": finding.gap_before,
-        "gap_after": finding.gap_after,
-        "noise_floor": finding.noise_floor,
-        "shrinkage": finding.shrinkage,
-        "placebo": _number(finding.placebo),
-        "frames": frames,
-    }
+    frames = _rows({
+        "frame": series.frames, "time": series.frames / fps, "seen": series.seen, "error": series.errors,
+        "foretold": series.at(dose),
+    })  # fmt: skip
+    told = ("called", "statistic", "gap_before", "gap_after", "noise_floor", "shrinkage", "placebo")
+    return {**_effect_json(finding.named), **_picked(finding, *told), "frames": frames}
 
 
 def _mode_json(mode: Mode) -> Content:
-    def pair(values: tuple[float, float]) -> Content:
-        return {"frequency": _number(values[0]), "damping_ratio": _number(values[1])}
-
-    return {
-        "share": mode.share,
-        "observed": pair(mode.observed),
-        "observed_error": pair(mode.errors),
-        "base": pair(mode.base),
-        "improved": pair(mode.improved),
-        "unit": "Hz",
-    }
+    pairs = {"observed": mode.observed, "observed_error": mode.errors, "base": mode.base, "improved": mode.improved}
+    names = ("frequency", "damping_ratio")
+    told = {name: dict(zip(names, pair, strict=True)) for name, pair in pairs.items()}
+    return {"share": mode.share, **told, "unit": "Hz"}
 
 
 def _effect_json(effect: NamedEffect) -> Content:
     return {
-        "name": effect.name,
-        "variant": effect.variant,
-        "source": effect.source,
-        "probability": effect.probability,
+        **_picked(effect, "name", "variant", "source", "probability"),
         "parameters": [
-            {"name": d.name, "unit": d.unit, "value": d.value, "interval": [d.lower, d.upper], "null": d.null}
+            {**_picked(d, "name", "unit", "value"), "interval": [d.lower, d.upper], "null": d.null}
             for d in effect.doses
         ],
-        "confused_with": list(effect.confused_with),
+        "confused_with": effect.confused_with,
     }
 
 
 def _screened_json(entry: Screened) -> Content:
-    score = entry.score
     return {
         "effect": entry.effect.name,
-        "variant": entry.effect.variant,
-        "source": entry.effect.source,
-        "statistic": score.statistic,
-        "p_value": score.p_value,
-        "visibility": score.visibility,
-        "explained": score.explained,
+        **_picked(entry.effect, "variant", "source"),
+        **_picked(entry.score, "statistic", "p_value", "visibility", "explained"),
         "power": entry.power,
         "doses": [
-            {"name": d.name, "unit": d.unit, "estimate": float(v), "error": float(e)}
+            {**_picked(d, "name", "unit"), "estimate": v, "error": e}
             for d, v, e in zip(entry.effect.doses, entry.doses, entry.errors, strict=True)
         ],
     }

@@ -8,12 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
+from physconvex.gap.base.model import MODULUS, RATIO
+from physconvex.gap.location.body_motion import ranges_of
 from physconvex.gap.location.where import Where
 from physconvex.gap.page.findings import GapFindings
 from physconvex.identify import unit_normals
@@ -36,10 +41,8 @@ def _length_unit(values: np.ndarray) -> tuple[float, str]:
 
 def svg_of(figure: Figure) -> str:
     """The figure as an SVG element, without prolog, with text kept as text."""
-    import matplotlib as mpl
-
     buffer = io.StringIO()
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "physconvex"}):
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "physconvex"}):
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
     return text[text.index("<svg") :]
@@ -53,15 +56,18 @@ def png_of(figure: Figure, *, dpi: int = 110) -> str:
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
 
 
-def _clean(axes: object) -> None:
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)  # type: ignore[attr-defined]
+def _figure(width: float, height: float, *panels: int) -> tuple[Figure, list[Axes]]:
+    """A figure and its panels, with lines on the left and below alone."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    axes = list(figure.subplots(*panels, squeeze=False).flat)
+    for one in axes:
+        one.spines[["top", "right"]].set_visible(False)
+    return figure, axes
 
 
 def budget(where: Where) -> Figure:
     """Waterfall of the mean squares of the sources."""
-    figure = Figure(figsize=(7, 3.2), layout="constrained")
-    axes = figure.subplots()
+    figure, (axes,) = _figure(7, 3.2)
     squares = np.array([part.value**2 for part in where.sources])
     total = max(squares.sum(), 1e-300)
     shares = 100 * squares / total
@@ -79,7 +85,6 @@ def budget(where: Where) -> Figure:
     axes.invert_yaxis()
     axes.set_xlim(0, 100)
     axes.set_xlabel("share of the mean square distance to the observation [%]")
-    _clean(axes)
     return figure
 
 
@@ -87,17 +92,13 @@ def timeline(report: GapFindings) -> Figure:
     """Gap per frame, before and after, with phases and the use of the frames."""
     where = report.where
     factor, unit = _length_unit(where.per_frame)
-    figure = Figure(figsize=(7, 3), layout="constrained")
-    axes = figure.subplots()
+    figure, (axes,) = _figure(7, 3)
     step = float(np.diff(where.times).mean()) if len(where.times) > 1 else 1.0
-    start = 0
-    for i in range(1, len(where.times) + 1):
-        if i == len(where.times) or where.phase_names[i] != where.phase_names[start]:
-            low, high = where.times[start] - step / 2, where.times[i - 1] + step / 2
-            axes.axvspan(low, high, color=_PHASES.get(where.phase_names[start], "#ffffff"), lw=0)
-            axes.text((low + high) / 2, 1.01, where.phase_names[start], transform=axes.get_xaxis_transform(),
-                      ha="center", va="bottom", fontsize=7, rotation=0 if high - low > 3 * step else 40)  # fmt: skip
-            start = i
+    for phase, first, last in ranges_of(where.phase_names):
+        low, high = where.times[first] - step / 2, where.times[last] + step / 2
+        axes.axvspan(low, high, color=_PHASES.get(phase, "#ffffff"), lw=0)
+        axes.text((low + high) / 2, 1.01, phase, transform=axes.get_xaxis_transform(), ha="center", va="bottom",
+                  fontsize=7, rotation=0 if high - low > 3 * step else 40)  # fmt: skip
     axes.plot(where.times, factor * where.per_frame, "o-", ms=3, color=_ORANGE, label="base model")
     if report.best.effects:
         axes.plot(where.times, factor * where.per_frame_after, "s-", ms=3, color=_BLUE, label=f"+ {report.best.label}")
@@ -109,7 +110,6 @@ def timeline(report: GapFindings) -> Figure:
     axes.set_ylabel(f"rms distance [{unit}]")
     axes.set_ylim(bottom=0)
     axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(0, 0.93), framealpha=0.8)
-    _clean(axes)
     return figure
 
 
@@ -119,32 +119,24 @@ def body_map(where: Where) -> Figure:
     figure = Figure(figsize=(7, 3.1), layout="constrained")
     colours = _viridis(where.per_vertex)
     low, high = where.vertices.min(0), where.vertices.max(0)
-    panels = []
-    for number, azimuth in enumerate((-60, 120)):
-        axes = figure.add_subplot(1, 2, number + 1, projection="3d")
-        panels.append(axes)
-        triangles = where.vertices[where.faces]
-        face = colours[where.faces].mean(1)
-        light = 0.65 + 0.35 * np.abs(unit_normals(where.vertices, where.faces) @ np.array([0.3, 0.5, 0.81]))
-        face = np.concatenate([face[:, :3] * light[:, None], face[:, 3:]], axis=1)
-        axes.add_collection3d(Poly3DCollection(triangles, facecolors=face, linewidths=0))
+    face = colours[where.faces].mean(1)
+    light = 0.65 + 0.35 * np.abs(unit_normals(where.vertices, where.faces) @ np.array([0.3, 0.5, 0.81]))
+    face[:, :3] *= light[:, None]
+    panels = [figure.add_subplot(1, 2, number, projection="3d") for number in (1, 2)]
+    for axes, azimuth in zip(panels, (-60, 120), strict=True):
+        axes.add_collection3d(Poly3DCollection(where.vertices[where.faces], facecolors=face, linewidths=0))
         axes.auto_scale_xyz(*np.stack([low, high], axis=1))
         axes.set_box_aspect(np.maximum(high - low, 0.05 * (high - low).max()))
         axes.view_init(18, azimuth)
         axes.set_axis_off()
-    import matplotlib as mpl
-    from matplotlib.cm import ScalarMappable
-
     scale = Normalize(0, factor * float(where.per_vertex.max()))
-    bar = figure.colorbar(ScalarMappable(scale, mpl.colormaps["viridis"]), ax=panels, shrink=0.7)
+    bar = figure.colorbar(ScalarMappable(scale, colormaps["viridis"]), ax=panels, shrink=0.7)
     bar.set_label(f"rms distance [{unit}]")
     return figure
 
 
 def _viridis(values: np.ndarray) -> np.ndarray:
-    import matplotlib as mpl
-
-    return np.asarray(mpl.colormaps["viridis"](np.asarray(values) / max(float(np.max(values)), 1e-300)))
+    return np.asarray(colormaps["viridis"](np.asarray(values) / max(float(np.max(values)), 1e-300)))
 
 
 def write_body(where: Where, path: Path) -> None:
@@ -164,8 +156,7 @@ def forest(report: GapFindings) -> Figure:
             if entry.errors[i] > 0:
                 rows.append((f"{entry.effect.label}: {dose.name} [{dose.unit or '–'}]", entry.doses[i] - dose.null,
                              entry.errors[i], entry.effect.label in named))  # fmt: skip
-    figure = Figure(figsize=(7, 0.5 + 0.2 * len(rows)), layout="constrained")
-    axes = figure.subplots()
+    figure, (axes,) = _figure(7, 0.5 + 0.2 * len(rows))
     for y, (_, value, error, mine) in enumerate(rows):
         ratio = value / error
         axes.plot([ratio - 1.645, ratio + 1.645], [y, y], color=_BLUE if mine else _GREY, lw=2)
@@ -175,7 +166,6 @@ def forest(report: GapFindings) -> Figure:
     axes.invert_yaxis()
     axes.set_xscale("symlog", linthresh=3)
     axes.set_xlabel("screened dose over its standard error, 90 % interval")
-    _clean(axes)
     return figure
 
 
@@ -199,8 +189,7 @@ def confusion(report: GapFindings, *, most: int = 14) -> Figure:
 
 def shrinkage_bars(report: GapFindings) -> Figure:
     """Shrinkage with interval, and that of the placebo, by held-out data."""
-    figure = Figure(figsize=(7, 2.4), layout="constrained")
-    axes = figure.subplots()
+    figure, (axes,) = _figure(7, 2.4)
     for i, part in enumerate(report.how_far):
         value = np.clip(part.shrinkage, -1, 1)
         low, high = np.clip([part.lower, part.upper], -1, 1)
@@ -215,14 +204,12 @@ def shrinkage_bars(report: GapFindings) -> Figure:
     axes.invert_yaxis()
     axes.set_xlabel("share of the gap above noise that is removed [%], cut off at −100")
     axes.legend(fontsize=8, loc="lower left")
-    _clean(axes)
     return figure
 
 
 def image_series(report: GapFindings) -> Figure:
     """Statistics of the pictures frame by frame, and their prediction by the fitted effects."""
-    figure = Figure(figsize=(7, 0.4 + 2.0 * len(report.pictures)), layout="constrained")
-    panels = figure.subplots(len(report.pictures), squeeze=False)[:, 0]
+    figure, panels = _figure(7, 0.4 + 2.0 * len(report.pictures), len(report.pictures))
     for axes, finding in zip(panels, report.pictures, strict=True):
         series, dose = finding.series, finding.named.doses[0]
         times = 1e3 * series.frames / report.base.capture.fps
@@ -232,16 +219,14 @@ def image_series(report: GapFindings) -> Figure:
         axes.set_title(f"{finding.effect.name}: {'called' if finding.called else 'not called'}", fontsize=9)
         axes.set_ylabel(finding.statistic.replace(", ", ",\n"), fontsize=7)
         axes.legend(fontsize=7)
-        _clean(axes)
     panels[-1].set_xlabel("time [ms]")
     return figure
 
 
 def parameter_arrows(report: GapFindings) -> Figure:
     """E and ν before and after."""
-    rows = [r for r in report.parameters if r.name in ("log10_youngs_modulus", "poisson_ratio")]
-    figure = Figure(figsize=(7, 1.8), layout="constrained")
-    panels = figure.subplots(1, max(len(rows), 1), squeeze=False)[0]
+    rows = [r for r in report.parameters if r.name in (MODULUS, RATIO)]
+    figure, panels = _figure(7, 1.8, 1, max(len(rows), 1))
     for axes, row in zip(panels, rows, strict=False):
         log = row.name.startswith("log10")
         told = ((row.before, row.before_error, _ORANGE), (row.after, row.after_error, _BLUE))
@@ -254,5 +239,4 @@ def parameter_arrows(report: GapFindings) -> Figure:
         axes.set_ylim(1.6, -0.6)
         axes.set_xlabel("Young's modulus [Pa]" if log else "Poisson's ratio")
         axes.ticklabel_format(axis="x", style="sci", scilimits=(-2, 4))
-        _clean(axes)
     return figure

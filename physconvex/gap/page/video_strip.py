@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
@@ -15,7 +16,9 @@ from physconvex.errors import ConvergenceError
 from physconvex.gap.page.findings import GapFindings
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.identify import PixelObservations, appearance_map, cast_camera_rays
+from physconvex.io import Camera
 
+Rows = list[tuple[str, list[np.ndarray]]]  # pictures side by side, by name
 _COLUMNS = 6
 _EMPTY = 235  # grey of empty pixels of a model's picture
 _MARGIN = 12  # pixels around the body
@@ -38,10 +41,10 @@ def video_strip(report: GapFindings) -> Figure | None:
         return None
     chosen = np.unique(np.linspace(0, len(frames) - 1, _COLUMNS + 1).round().astype(int)[1:])
     rows = [("observed", [frames[t] for t in chosen])]
-    rows += [(name, [_picture(report, frames[0], x, t, triangles) for t in chosen]) for name, x in moved]
+    rows += [(name, [_picture(seen.camera, frames[0], x, t, triangles) for t in chosen]) for name, x in moved]
     differences = [(f"observed − {name}", [_difference(frames[t], picture) for t, picture in zip(chosen, shown)])  # noqa: B905
                    for name, shown in rows[1:]]  # fmt: skip
-    return _drawn(rows, differences, chosen, base.capture.fps, _window(report, [x for _, x in moved], frames))
+    return _drawn(rows, differences, chosen, base.capture.fps, _window(seen.camera, [x for _, x in moved], frames))
 
 
 def _moved(hypothesis: Hypothesis, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "T V 3"]:
@@ -54,17 +57,11 @@ def _moved(hypothesis: Hypothesis, vertices: Float[np.ndarray, "V 3"]) -> Float[
     return model.positions(hypothesis.values)
 
 
-def _picture(
-    report: GapFindings, origin: np.ndarray, moved: np.ndarray, frame: int, triangles: np.ndarray
-) -> np.ndarray:
+def _picture(camera: Camera, origin: np.ndarray, moved: np.ndarray, frame: int, triangles: np.ndarray) -> np.ndarray:
     """The first image moved with the model, [H, W, 4]; the last channel marks known pixels."""
-    import cv2
-
-    seen = report.base.observations
-    assert isinstance(seen, PixelObservations)
-    rest = cast_camera_rays(seen.camera, moved[0], triangles)
-    hits = cast_camera_rays(seen.camera, moved[frame], triangles)
-    source, known = appearance_map(seen.camera, moved[0], triangles, hits, rest)
+    rest = cast_camera_rays(camera, moved[0], triangles)
+    hits = cast_camera_rays(camera, moved[frame], triangles)
+    source, known = appearance_map(camera, moved[0], triangles, hits, rest)
     picture = cv2.remap(origin, source[..., 0], source[..., 1], cv2.INTER_LINEAR)
     return np.dstack([np.where(known[..., None], picture, _EMPTY), 255 * known]).astype(np.uint8)
 
@@ -76,11 +73,9 @@ def _difference(observed: np.ndarray, picture: np.ndarray) -> np.ndarray:
     return np.where(known, signed, np.nan)
 
 
-def _window(report: GapFindings, moved: list[np.ndarray], frames: np.ndarray) -> tuple[slice, slice]:
+def _window(camera: Camera, moved: list[np.ndarray], frames: np.ndarray) -> tuple[slice, slice]:
     """Rows and columns of the picture that contain the body in any frame."""
-    seen = report.base.observations
-    assert isinstance(seen, PixelObservations)
-    pixels = np.concatenate([seen.camera.project(x.reshape(-1, 3))[0] for x in moved])
+    pixels = np.concatenate([camera.project(x.reshape(-1, 3))[0] for x in moved])
     pixels = pixels[np.isfinite(pixels).all(1)]
     height, width = frames.shape[1:3]
     low = np.clip(pixels.min(0) - _MARGIN, 0, [width - 2, height - 2]).astype(int)
@@ -89,12 +84,8 @@ def _window(report: GapFindings, moved: list[np.ndarray], frames: np.ndarray) ->
 
 
 def _drawn(
-    rows: list[tuple[str, list[np.ndarray]]],
-    differences: list[tuple[str, list[np.ndarray]]],
-    chosen: np.ndarray,
-    fps: float,
-    window: tuple[slice, slice],
-) -> Figure:
+    rows: Rows, differences: Rows, chosen: np.ndarray, fps: float, window: tuple[slice, slice]
+) -> Figure:  # fmt: skip
     height, width = rows[0][1][0][window].shape[:2]
     count = len(rows) + len(differences)
     side = 9.5 / len(chosen)

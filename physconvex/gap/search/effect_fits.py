@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from physconvex.errors import ConvergenceError
+from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.base.baseline import Baseline, derivatives_of_residuals
 from physconvex.gap.base.model import EffectModel
 from physconvex.gap.effects.motion import PointMotion
@@ -22,21 +22,13 @@ from physconvex.identify import Fit, FitOptions, fit
 
 
 def fit_effects(
-    base: Baseline,
-    errors: ErrorModel,
-    chosen: Sequence[Screened],
-    options: GapOptions,
-    *,
+    base: Baseline, errors: ErrorModel, chosen: Sequence[Screened], options: GapOptions, *,
     starts: Baseline | None = None,
-) -> Hypothesis:
+) -> Hypothesis:  # fmt: skip
     """Fit base parameters and doses together, to the fitted frames.
 
-    Args:
-        base: base fit.
-        errors: weights of the residuals.
-        chosen: the screened effects; their signatures are the first derivatives.
-        options: settings.
-        starts: fit at which the effects are screened, if not the base fit; its effects are kept.
+    The first derivatives are the signatures of the screened effects. `starts` is the fit at which they are screened, if
+    not the base fit; its effects are kept.
 
     Raises:
         ConvergenceError: the body cannot be simulated at the start.
@@ -52,11 +44,7 @@ def fit_effects(
 def derivatives_at(base: Baseline, model: EffectModel, values: np.ndarray, motion: PointMotion) -> np.ndarray:
     """Derivatives of a model's predictions by all its values, in the frames up to the last fitted one.
 
-    Args:
-        base: defines the frames.
-        model: the model, all frames.
-        values: point of the derivatives.
-        motion: the model's motion there.
+    `motion` is the model's motion at the values, in all frames.
 
     Raises:
         ConvergenceError: the body cannot be simulated near there.
@@ -110,27 +98,22 @@ def _best_start(base: Baseline, errors: ErrorModel, model: EffectModel, starts: 
             apart.append(values)
     if len(apart) == 1:
         return apart[0]
-    count = base.split.end
-    shorter = replace(model, frames=count)
+    shorter = replace(model, frames=base.split.end)
+    return min(apart, key=lambda values: misfit_at(base, errors, shorter, values))
 
-    def misfit(values: np.ndarray) -> float:
-        try:
-            return negative_log_likelihood(base, errors, shorter.positions(values))
-        except ConvergenceError:
-            return float("inf")
 
-    return min(apart, key=misfit)
+def misfit_at(base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray) -> float:
+    """Misfit of a model's frames; infinite if it cannot be simulated."""
+    try:
+        return negative_log_likelihood(base, errors, model.positions(values))
+    except (ConvergenceError, InputError):
+        return np.inf
 
 
 def refit(
-    base: Baseline,
-    errors: ErrorModel,
-    model: EffectModel,
-    values: np.ndarray,
-    tangents: np.ndarray,
-    *,
+    base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray, tangents: np.ndarray, *,
     options: GapOptions,
-) -> Hypothesis:
+) -> Hypothesis:  # fmt: skip
     """Fit a model with effects from given values and derivatives.
 
     The weight of priors increases with the misfit (`EffectModel.doubt`), which may fall by a factor of a hundred in a
@@ -189,9 +172,8 @@ def _settled(
             before, doubt = doubt, _doubt(base, errors, point.here)
             if (settled and doubt > SEARCH.settled * before) or base.model.cost.over:
                 break
-        model, tangents = replace(shorter, doubt=doubt), point.tangents
-        if number:
-            tangents = model.linearise(point.values)[1]
+        model = replace(shorter, doubt=doubt)
+        tangents = model.linearise(point.values)[1] if number else point.tangents
         secant = model.secant(point.values, point.here, tangents)
         found = fit(secant, weighted, model.parameters(point.values), options=stop)
         point = _Point(found.values, found.positions, secant.tangents, found)
@@ -224,9 +206,8 @@ def _start(entry: Screened) -> np.ndarray:
         change = doses[index] - null[index]
         if dose.sign and abs(change) < SEARCH.least_dose * trial:
             change = SEARCH.least_dose * trial * dose.sign
-        doses[index] = np.clip(
-            null[index] + np.clip(change, -SEARCH.most_dose * trial, SEARCH.most_dose * trial), dose.lower, dose.upper
-        )
+        most = SEARCH.most_dose * trial
+        doses[index] = np.clip(null[index] + np.clip(change, -most, most), dose.lower, dose.upper)
     return np.asarray(doses)
 
 
@@ -243,10 +224,9 @@ def _tangents(entry: Screened) -> np.ndarray:
 def _add_shapes(model: EffectModel, values: np.ndarray, here: np.ndarray, tangents: np.ndarray) -> None:
     """Derivatives by shape doses, which screening lacks, by finite differences."""
     for effect, where in zip(model.effects, model.slices, strict=True):
-        for index, dose in enumerate(effect.doses):
-            if dose.shape and not tangents[:, where.start + index].any():
-                changed = values.copy()
-                at, step = where.start + index, 2 * dose.smallest
+        for at, dose in enumerate(effect.doses, where.start):
+            if dose.shape and not tangents[:, at].any():
+                changed, step = values.copy(), 2 * dose.smallest
                 if values[at] + step > dose.upper:
                     step = -step
                 changed[at] += step

@@ -16,6 +16,8 @@ from physconvex.gap.effects.effect import IN_FLIGHT, Effect
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.thresholds import EVIDENCE
 
+ByKind = Float[np.ndarray, " D"]
+
 
 def mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
     """Mean square of some frames' residuals over that of noise and numerical error; NaN without any.
@@ -38,9 +40,7 @@ def negative_log_likelihood(base: Baseline, errors: ErrorModel, here: np.ndarray
     return -float(likelihood_by_kind(base, errors, whole, fitted[fitted < len(here)]).sum())
 
 
-def squares_by_kind(
-    base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray
-) -> Float[np.ndarray, " D"]:  # fmt: skip
+def squares_by_kind(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> ByKind:
     """Mean square of the residuals of each kind over that of noise and numerical error; NaN without any."""
     rows = base.rows(frames)
     kinds = base.modes.kinds[rows]
@@ -49,9 +49,7 @@ def squares_by_kind(
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
-def _alike(
-    base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray
-) -> Float[np.ndarray, " D"]:  # fmt: skip
+def _alike(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> ByKind:
     """Residuals per independent one, by kind, see `physconvex.gap.base.body_modes`."""
     rows, out = base.rows(frames), np.ones(base.modes.count)
     whitened = base.residual(positions)[rows] / np.sqrt(errors.expected[rows])
@@ -69,7 +67,7 @@ def residuals_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray,
     return float(count.sum() / (count / _alike(base, errors, positions, frames)).sum())
 
 
-def information_by_kind(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> Float[np.ndarray, " D"]:
+def information_by_kind(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> ByKind:
     """Number of independent residuals by kind: each counts by the share of noise in its variance.
 
     Smooth errors count by half of their degrees of freedom in two frames.
@@ -83,7 +81,7 @@ def information_by_kind(base: Baseline, errors: ErrorModel, frames: np.ndarray) 
     return np.asarray(np.where(count > 0, smooth, 0.0).sum(1))
 
 
-def information_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> Float[np.ndarray, " D"]:
+def information_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> ByKind:
     """Divisor of the likelihood of each kind, so that no more residuals count than are independent.
 
     Residuals that share their numerical error already count as few (`information_by_kind`). The smaller of that number
@@ -95,18 +93,10 @@ def information_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarra
     return np.maximum(1.0, information_by_kind(base, errors, frames) / np.maximum(independent, 1e-9))
 
 
-def likelihood_by_kind(
-    base: Baseline, errors: ErrorModel, positions: np.ndarray | None, frames: np.ndarray
-) -> Float[np.ndarray, " D"]:  # fmt: skip
+def likelihood_by_kind(base: Baseline, errors: ErrorModel, positions: np.ndarray | None, frames: np.ndarray) -> ByKind:
     """−n/2 ln(mean square) with unknown scale, by kind; the mean square is over that of noise and numerical error.
 
-    A mean square below one adds little.
-
-    Args:
-        base: the base fit.
-        errors: weights.
-        positions: positions of the model; None for one that leaves nothing but noise and numerical error.
-        frames: frames of the residuals.
+    A mean square below one adds little. Without positions: of a model that leaves only noise and numerical error.
     """
     information = information_by_kind(base, errors, frames)
     squares = np.ones(base.modes.count) if positions is None else squares_by_kind(base, errors, positions, frames)

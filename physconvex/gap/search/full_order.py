@@ -19,21 +19,14 @@ import numpy as np
 
 from physconvex.errors import ConvergenceError
 from physconvex.gap.base.baseline import Baseline, Report
-from physconvex.gap.base.lowest_mode import decades_between
-from physconvex.gap.base.model import MODULUS, EffectModel, reduced_like, searches_itself
+from physconvex.gap.base.model import MODULUS, EffectModel, decades_between, reduced_like, searches_itself
 from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.errors.numerical_differences import Numerics, exact_model
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.effect_fits import derivatives_at, refit
 from physconvex.gap.search.evidence import squares_by_kind
-from physconvex.gap.search.hypothesis import (
-    Hypothesis,
-    base_hypothesis,
-    hypothesis_at,
-    judged,
-    weighed_anew,
-)
+from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis, hypothesis_at, judged, weighed_anew
 from physconvex.gap.search.search_state import FAILURES, EffectSearch
 from physconvex.gap.thresholds import CLOCK, DECISION
 
@@ -46,11 +39,6 @@ def as_reduced(base: Baseline) -> Baseline:
 
 def confirmed(base: Baseline, errors: ErrorModel, found: Hypothesis) -> Hypothesis:
     """A fit of the reduced model, evaluated by the full-order one.
-
-    Args:
-        base: the full-order base fit.
-        errors: weights of the residuals.
-        found: fit of the reduced model.
 
     Raises:
         ConvergenceError: the full-order model cannot be run there.
@@ -76,23 +64,16 @@ def _in_step(base: Baseline, full: EffectModel, found: Hypothesis) -> np.ndarray
     return values
 
 
-def _saturates(model: EffectModel) -> bool:
-    """Whether an effect saturates: its dose does nothing beyond a threshold.
-
-    The reduced model has other stresses and saturates at another dose. No added motion corrects that, so the full-order
-    model itself searches such a fit.
-    """
-    return any(dose.threshold for effect in model.effects for dose in effect.doses)
-
-
 def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapOptions) -> Hypothesis | None:
     """A fit of the full-order model with a higher likelihood, searched with the reduced one near the current one.
 
-    Saturating effects are searched with the full-order model itself. None if no fit is better.
+    None if no fit is better. An effect saturates if its dose does nothing beyond a threshold. The reduced model has
+    other stresses and saturates at another dose. No added motion corrects that, so the full-order model itself searches
+    such a fit.
     """
     scales = np.array([p.step for p in here.model.parameters(here.values)])
     first = best = here
-    saturates = _saturates(here.model)
+    saturates = any(dose.threshold for effect in here.model.effects for dose in effect.doses)
     tangents: np.ndarray | None = None
     for _ in range(DECISION.rounds):
         try:
@@ -119,12 +100,6 @@ def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapO
 def with_own_correction(base: Baseline, errors: ErrorModel, numerics: Numerics, found: Hypothesis) -> Hypothesis:
     """A full-order fit, corrected by the most exact run at its values; unchanged if no such run is affordable.
 
-    Args:
-        base: the full-order base fit.
-        errors: weights of the residuals.
-        numerics: gives the mesh of the most exact run.
-        found: the fit, by the full-order model.
-
     Raises:
         ConvergenceError: the body cannot be simulated so, or the runs have used their budget.
     """
@@ -134,9 +109,8 @@ def with_own_correction(base: Baseline, errors: ErrorModel, numerics: Numerics, 
     exact = exact_model(found.model, numerics.exact[0])
     run = exact.motion(found.values)
     if run.steps is not None and found.motion.steps is not None:
-        steps = PointMotion.of_steps(
-            run.steps, len(found.motion.steps.times), exact.refinement // found.model.refinement
-        )
+        every = exact.refinement // found.model.refinement
+        steps = PointMotion.of_steps(run.steps, len(found.motion.steps.times), every)
         run = replace(run, steps=replace(steps, steps=None))
     model = replace(found.model, correction=MotionCorrection.between(run, found.motion))
     return hypothesis_at(base, errors, model, found.values, found.errors, motion=found.motion, tangents=found.tangents)
@@ -145,12 +119,8 @@ def with_own_correction(base: Baseline, errors: ErrorModel, numerics: Numerics, 
 def fitted_there(search: EffectSearch, full: EffectModel, values: np.ndarray, *, by_kind: bool = False) -> Hypothesis:
     """A fit from values far from the base fit, by a reduced model that is corrected to the full-order one there.
 
-    Args:
-        search: gives the base fit and the errors.
-        full: the full-order model.
-        values: start of the fit.
-        by_kind: whether residuals of each kind are weighted by their size there, as in the comparison of fits; a poor
-            fit after an impact then does not distort the doses that the flight determines.
+    With `by_kind`, residuals of each kind are weighted by their size there, as in the comparison of fits. A poor fit
+    after an impact then does not distort the doses that the flight determines.
     """
     base, errors = search.base, search.errors
     cheap, motion = reduced_like(full, full.motion(values), values)
@@ -183,7 +153,9 @@ def decided(
         except FAILURES as error:
             report(f"full-order run: {hypothesis.label}: {error}")
     if numerics.exact is not None:
-        near = {id(h.motion) for h in _near_the_best(base, errors, out)} | {id(plain.motion)}
+        ranked = judged(base, errors, out)  # those that may still become the best
+        near = {id(h.motion) for h in ranked if h.evidence > ranked[0].evidence - DECISION.hopeless}
+        near.add(id(plain.motion))
         out = [_corrected(base, errors, numerics, h, report) if id(h.motion) in near else h for h in out]
         settled = {id(h.motion) for h in out} - near  # ids of motions
     else:
@@ -227,12 +199,6 @@ def fitted_while_it_helps(
             if further.seen < hypothesis.seen + DECISION.slow:
                 settled.add(id(further.motion))
     return out
-
-
-def _near_the_best(base: Baseline, errors: ErrorModel, fits: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Fits that may still become the best, best first."""
-    ranked = judged(base, errors, fits)
-    return [h for h in ranked if h.evidence > ranked[0].evidence - DECISION.hopeless]
 
 
 def _corrected(

@@ -143,26 +143,22 @@ def hypothesis_at(
     *, motion: PointMotion, tangents: np.ndarray,
 ) -> Hypothesis:  # fmt: skip
     """A model at fitted values, with its predictions and their misfit."""
-    positions = model.observed(motion, values)
-    fitted = mean_square(base, errors, positions, base.split.fitted)
-    selecting = float(np.nanmax(squares_by_kind(base, errors, positions, base.split.selecting), initial=0.0))
-    seen, later = (likelihood_by_kind(base, errors, positions, f) for f in (base.split.fitted, base.split.selecting))
-    attainable = sum(likelihood_by_kind(base, errors, None, f) for f in (base.split.fitted, base.split.selecting))
-    likelihood = seen + later
-    information = information_by_kind(base, errors, base.split.fitted)
-    moved = moved_kinds(base, errors, positions)
-    vibration_likelihood = damped_sine_likelihood(base, positions)
-    struck = base.modes.struck
-    told = information * moved
-    evidence = (
-        evidence_of(likelihood, told, model.effects, values, struck=struck, deviations=deviations)
-        + vibration_likelihood
-    )
-    return Hypothesis(
-        model.effects, model, values, deviations, positions, motion, tangents, fitted, selecting, evidence, likelihood,
-        np.asarray(attainable), information, moved, vibration_likelihood=vibration_likelihood, later=later,
-        struck=struck,
+    positions, parts = model.observed(motion, values), (base.split.fitted, base.split.selecting)
+    seen, later = (likelihood_by_kind(base, errors, positions, frames) for frames in parts)
+    found = Hypothesis(
+        model.effects, model, values, deviations, positions, motion, tangents,
+        fitted=mean_square(base, errors, positions, base.split.fitted),
+        selecting=float(np.nanmax(squares_by_kind(base, errors, positions, base.split.selecting), initial=0.0)),
+        evidence=0.0,
+        likelihood=seen + later,
+        attainable=np.asarray(sum(likelihood_by_kind(base, errors, None, frames) for frames in parts)),
+        information=information_by_kind(base, errors, base.split.fitted),
+        moved=moved_kinds(base, errors, positions),
+        vibration_likelihood=damped_sine_likelihood(base, positions),
+        later=later,
+        struck=base.modes.struck,
     )  # fmt: skip
+    return found.tempered(np.ones(base.modes.count))
 
 
 def base_hypothesis(base: Baseline, errors: ErrorModel) -> Hypothesis:
@@ -200,10 +196,9 @@ def doses_at_bounds(best: Hypothesis) -> list[str]:
     found = []
     for effect in best.effects:
         for dose, value in zip(effect.doses, best.doses(effect)[0], strict=True):
-            if dose.shape:
-                continue
-            near = 1e-3 * (dose.upper - dose.lower)
-            if any(abs(value - bound) < near and abs(bound - dose.null) > near for bound in (dose.lower, dose.upper)):
+            near, bounds = 1e-3 * (dose.upper - dose.lower), (dose.lower, dose.upper)
+            bound = any(abs(value - bound) < near and abs(bound - dose.null) > near for bound in bounds)
+            if bound and not dose.shape:
                 found.append(f"{effect.name} ({dose.name} = {value:.3g} {dose.unit})".replace(" )", ")"))
     return found
 
@@ -225,9 +220,7 @@ def within_bounds(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     return kept if any(h.effects for h in kept) else list(hypotheses)
 
 
-def finalists(
-    found: Sequence[Hypothesis], count: int, *, tied: float = 0.0, forms: int = 1
-) -> list[Hypothesis]:  # fmt: skip
+def finalists(found: Sequence[Hypothesis], count: int, *, tied: float = 0.0, forms: int = 1) -> list[Hypothesis]:
     """The best fits with effects, one of each set of names; two single effects are among them.
 
     Args:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from physconvex.gap.effects.effect import Effect
 from physconvex.gap.errors.numerical_differences import Numerics
 from physconvex.gap.errors.screening import Pair, Screened, Screening, best_pairs, screen
 from physconvex.gap.search.effect_fits import derivatives_at, refit
+from physconvex.gap.search.evidence import residuals_per_one
 from physconvex.gap.search.full_order import as_reduced, confirmed, fitted_there, improved
 from physconvex.gap.search.hypothesis import Hypothesis, continued, finalists, hypothesis_at
 from physconvex.gap.search.search_state import FAILURES, EffectSearch
@@ -71,7 +73,9 @@ def together(search: EffectSearch, screening: Screening) -> None:
     """Pairs that explain much more than the better of the two, if single effects leave a gap."""
     if not search.open(search.best):
         return
-    for pair in plausible_pairs(screening, search.independent, held=search.base.situation.clamped)[: SEARCH.pairs]:
+    full, fitted = search.full, search.full.split.fitted
+    independent = len(full.rows(fitted)) / residuals_per_one(full, search.errors, full.positions, fitted)
+    for pair in plausible_pairs(screening, independent, held=full.situation.clamped)[: SEARCH.pairs]:
         search.fit([pair.first, pair.second])
 
 
@@ -185,13 +189,9 @@ def leave_out(search: EffectSearch) -> None:
         return
     cost = search.base.model.cost
     cost.limit = max(cost.limit, cost.spent + RUN_COST.leaving_out * search.options.search_cost)
-    for model, values, tangents in without_each(best, search.found):
-        search.attempt(
-            " + ".join(e.label for e in model.effects),
-            lambda m=model, v=values, t=tangents: refit(  # type: ignore[misc]
-                search.base, search.errors, m, v, t, options=search.options
-            ),
-        )
+    for start in without_each(best, search.found):
+        again = partial(refit, search.base, search.errors, *start, options=search.options)
+        search.attempt(" + ".join(effect.label for effect in start[0].effects), again)
 
 
 def without_each(best: Hypothesis, found: Sequence[Hypothesis]) -> Iterator[tuple[EffectModel, np.ndarray, np.ndarray]]:

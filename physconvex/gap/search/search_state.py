@@ -32,7 +32,6 @@ class EffectSearch:
         report: receives progress messages.
         found: fits so far, the base model first.
         polished: ids of the motions of fits that need no refit.
-        independent: number of independent residuals in the base model's residual.
     """
 
     full: Baseline
@@ -42,7 +41,6 @@ class EffectSearch:
     report: Report
     found: list[Hypothesis] = field(default_factory=list)
     polished: set[int] = field(default_factory=set)
-    independent: float = 1.0
 
     @property
     def best(self) -> Hypothesis:

@@ -18,7 +18,6 @@ from physconvex.gap.errors.numerical_differences import Numerics, numerical_diff
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.errors.screening import Screening, screen
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.evidence import residuals_per_one
 from physconvex.gap.search.full_order import as_reduced, confirmed, decided
 from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis, continued, finalists, judged, weighed_anew
 from physconvex.gap.search.rounds import (
@@ -41,11 +40,8 @@ from physconvex.gap.thresholds import CLOCK, DECISION, RUN_COST, SEARCH
 def expect_anew(search: EffectSearch) -> Numerics | None:
     """Weight the fits of a free body by the differences at the best one, if its E is far from the base fit's.
 
-    Args:
-        search: its errors, fits and budget are changed.
-
-    Returns:
-        The differences at the best fit; None, with nothing changed, if E has not moved or no model can be run there.
+    Errors, fits and budget of the search change. None, with nothing changed, if E has not moved or no model can be run
+    there.
     """
     base, best = search.full, search.best
     names = base.model.base
@@ -94,12 +90,10 @@ def select_effects(
     """Search for the effects that explain a capture.
 
     Args:
-        base: the full-order base fit.
-        errors: weights of the residuals.
+        base, errors: the full-order base fit, and the weights of its residuals.
         numerics: differences for numerical effects.
         dictionary: effects to try.
-        options: settings.
-        report: receives progress messages.
+        options, report: settings, and what receives progress messages.
         screening: screening at the base fit, if known.
         near: the base model with an effect, near the recording: see `physconvex.gap.conditions.joint_fits`.
     """
@@ -109,8 +103,6 @@ def select_effects(
     cost.allow(options.search_cost * (RUN_COST.held if base.situation.clamped else 1.0), CLOCK.search_ends)
     search = EffectSearch(base, cheap, errors, options, report)
     search.found.append(base_hypothesis(cheap, errors))
-    rows = len(base.rows(base.split.fitted))
-    search.independent = rows / residuals_per_one(base, errors, base.positions, base.split.fitted)
     open_gap = search.found[0].fitted > SEARCH.closed or search.found[0].selecting > SEARCH.late
     if open_gap and near is not None and {effect.name for effect in near.model.effects} <= {e.name for e in dictionary}:
         from_there(search, base, near.model.effects, near.fit.values)

@@ -20,21 +20,21 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from physconvex.errors import ConvergenceError, InputError
+from physconvex.errors import ConvergenceError
 from physconvex.gap.base.baseline import Baseline, Report, derivatives_of_residuals
-from physconvex.gap.base.lowest_mode import lowest_frequency
-from physconvex.gap.base.model import MODULUS, EffectModel
+from physconvex.gap.base.model import MODULUS, RATIO, EffectModel
 from physconvex.gap.effects.effect import IN_FLIGHT, Effect
 from physconvex.gap.errors.numerical_differences import Numerics
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.errors.screening import Screened, best_pairs, screen
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.damped_sine import recorded_ringing
-from physconvex.gap.search.effect_fits import derivatives_at, fit_effects
-from physconvex.gap.search.evidence import mean_square, negative_log_likelihood
+from physconvex.gap.search.effect_fits import derivatives_at, fit_effects, misfit_at
+from physconvex.gap.search.evidence import mean_square
 from physconvex.gap.search.full_order import fitted_there
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.search.search_state import FAILURES, EffectSearch
@@ -102,7 +102,7 @@ def from_flight(search: EffectSearch, numerics: Numerics, dictionary: Sequence[E
     pairs: list[tuple[Screened, ...]] = [(pair.first, pair.second) for pair in best_pairs(screening, paired)]
     alone, paired = SEARCH.flight_fitted
     for told in (*_told(search, flight, singles)[:alone], *_told(search, flight, pairs)[:paired]):
-        search.attempt(f"{told.label}, from the flight", lambda h=told: _fitted(search, h))  # type: ignore[misc]
+        search.attempt(f"{told.label}, from the flight", partial(_fitted, search, told))
 
 
 def _told(search: EffectSearch, flight: Baseline, choices: Sequence[Sequence[Screened]]) -> list[Hypothesis]:
@@ -151,12 +151,9 @@ def _best_material(search: EffectSearch, model: EffectModel, values: np.ndarray,
     for modulus in np.unique(np.clip(moduli, bounds.lower, bounds.upper)):
         moved = values.copy()
         moved[place] = modulus
-        if "poisson_ratio" in names:
-            moved[names.index("poisson_ratio")] = SEARCH.flight_poisson_ratio
-        try:
-            misfit = negative_log_likelihood(base, search.errors, model.positions(moved))
-        except ConvergenceError:
-            continue
+        if RATIO in names:
+            moved[names.index(RATIO)] = SEARCH.flight_poisson_ratio
+        misfit = misfit_at(base, search.errors, model, moved)
         if misfit < least:
             best, least = moved, misfit
     return best
@@ -165,10 +162,7 @@ def _best_material(search: EffectSearch, model: EffectModel, values: np.ndarray,
 def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effect]) -> list[Start]:
     """Effects and start values: a load, fixed or loose, alone and with damping; empty if no load fits best.
 
-    Args:
-        base: baseline of the searching model, possibly at a fit with other effects, which the load then joins.
-        errors: weights of the residuals.
-        dictionary: effects to try.
+    `base` belongs to the searching model, possibly at a fit with other effects, which the load then joins.
     """
     recorded, known, end = recorded_ringing(base), {effect.label: effect for effect in dictionary}, _free_end(base)
     load, loose, damping = (known.get(name.format(end)) for name in _LABELS)
@@ -192,7 +186,7 @@ def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effec
         effects, trial = (*known_already, loose, *damped), loose.doses[-1].trial(base.situation)
         hanging = [np.insert(values, loaded, share * trial) for share in SEARCH.load_slacks]
         model = replace(model, effects=effects)
-        starts.append((effects, min(hanging, key=lambda one: _misfit(base, errors, model, one))))
+        starts.append((effects, min(hanging, key=lambda one: misfit_at(base, errors, model, one))))
     return starts
 
 
@@ -220,12 +214,12 @@ def _best_modulus(
 ) -> tuple[float, np.ndarray]:
     """Misfit and values with the best E, by descent from that whose lowest vibration has a frequency [Hz]."""
     index = model.base.index(MODULUS)
-    line = float(values[index]) + 2 * np.log10(frequency / lowest_frequency(model, values))
+    line = float(values[index]) + 2 * np.log10(frequency / model.lowest_frequency(values))
 
     def at(step: int) -> tuple[float, np.ndarray]:
         changed = values.copy()
         changed[index] = np.clip(line + SEARCH.load_step * step, *SEARCH.load_moduli)
-        return _misfit(base, errors, model, changed), changed
+        return misfit_at(base, errors, model, changed), changed
 
     best, where = at(0), 0
     for way in (1, -1):
@@ -234,11 +228,3 @@ def _best_modulus(
         if where:
             break
     return best
-
-
-def _misfit(base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray) -> float:
-    """Misfit of the fitted frames; infinite if there is no result."""
-    try:
-        return negative_log_likelihood(base, errors, model.positions(values))
-    except (ConvergenceError, InputError):
-        return np.inf
