@@ -2,6 +2,8 @@ from .benchmark import drop_object as drop_object, generate_benchmark as generat
 from .benchmark_scenes import (
     BenchmarkMotion as BenchmarkMotion,
     BenchmarkOptions as BenchmarkOptions,
+    changed as changed,
+    changes_of as changes_of,
     placed as placed,
     rolled as rolled,
     scene_of as scene_of,
@@ -13,17 +15,18 @@ from .blind.bank import (
     digest as digest,
     generate_bank as generate_bank,
 )
-from .blind.classes import same_class as same_class
-from .blind.controls import ControlScore as ControlScore, score_controls as score_controls
+from .blind.controls import (
+    ControlScore as ControlScore,
+    same_class as same_class,
+    score_controls as score_controls,
+)
 from .blind.explicit_cases import OUTSIDE as OUTSIDE
-from .blind.jobs import run_jobs as run_jobs
 from .blind.plan import Shares as Shares
 from .captures import (
     RingOptions as RingOptions,
     capture_folder as capture_folder,
     generate_captures as generate_captures,
 )
-from .changed_conditions import changed as changed, changes_of as changes_of
 from .config import (
     CameraConfig as CameraConfig,
     GeneratorConfig as GeneratorConfig,
@@ -32,7 +35,7 @@ from .config import (
 )
 from .dataset import ClipRecord as ClipRecord, Dataset as Dataset
 from .degrade import draw_degradation as draw_degradation
-from .engines import WorkerOptions as WorkerOptions
+from .engines import WorkerOptions as WorkerOptions, run_jobs as run_jobs
 from .explicit.bodies import (
     FPS as FPS,
     FallingBody as FallingBody,
@@ -55,7 +58,6 @@ from .generate import (
     render_view as render_view,
 )
 from .landing import refine_at_landing as refine_at_landing
-from .lighting import Backdrop as Backdrop, Lighting as Lighting
 from .objects.library import FAMILIES as FAMILIES, ObjectMesh as ObjectMesh, random_object as random_object
 from .objects.user_meshes import load_user_mesh as load_user_mesh, objects_from_folder as objects_from_folder
 from .render import Renderer as Renderer
@@ -68,5 +70,5 @@ from .still_captures import (
     still_cameras as still_cameras,
     write_still_capture as write_still_capture,
 )
-from .surface import DrawnSurface as DrawnSurface
+from .surface import Backdrop as Backdrop, DrawnSurface as DrawnSurface, Lighting as Lighting
 from .textures import floor_texture as floor_texture, vertex_colors as vertex_colors

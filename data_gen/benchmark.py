@@ -28,16 +28,16 @@ from data_gen.benchmark_scenes import (
     FRICTION,
     BenchmarkMotion,
     BenchmarkOptions,
+    changed,
+    changes_of,
     draw_motion,
     placed,
     rolled,
     scene_of,
 )
-from data_gen.changed_conditions import changed, changes_of
 from data_gen.objects.library import ObjectMesh
 from data_gen.objects.user_meshes import load_user_mesh, objects_from_folder
 from data_gen.still_captures import FLAT, StillViews, rendered_frames, still_cameras, write_still_capture
-from data_gen.surface import DrawnSurface
 from physconvex import InputError, __version__
 from physconvex.fem import Scene
 from physconvex.io import Camera, Capture, Floor, save_capture, write_video
@@ -76,6 +76,9 @@ def generate_benchmark(
     unknown = sorted(set(only or ()) - set(paths))
     if unknown:
         raise InputError(f"only: {', '.join(unknown)}: not in the benchmark; expected some of {', '.join(paths)}")
+    for name, path in paths.items():
+        if not (out / "truth" / name / "truth.json").exists():
+            load_user_mesh(path).drawn()  # refused now, not after its simulation
     claim = {"options": options.to_json(), "objects": list(paths), "version": __version__}
     out.mkdir(parents=True, exist_ok=True)
     held = out / BENCHMARK
@@ -199,9 +202,7 @@ class _Take:
 
     def filmed(self, moved: Float[np.ndarray, "T V 3"], camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """The object on white [T, H, W, 3], and its mask [T, H, W]."""
-        body = self.body
-        surface = DrawnSurface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
-        frames = np.stack(rendered_frames(surface, camera, FLAT, moved))
+        frames = np.stack(rendered_frames(self.body.drawn(), camera, FLAT, moved))
         alpha = frames[..., 3:].astype(np.float32) / 255
         white = (frames[..., :3] * alpha + 255 * (1 - alpha)).round().astype(np.uint8)
         return white, frames[..., 3] > 127

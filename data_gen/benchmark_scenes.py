@@ -1,8 +1,9 @@
-"""Sizes and motions of the benchmark: objects fall on a rough floor, or are tossed up without contact."""
+"""Sizes, motions and changed conditions of the benchmark: objects fall on a rough floor, or are tossed up."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
@@ -11,6 +12,7 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from data_gen.objects.library import ObjectMesh
+from data_gen.objects.solids import random_direction
 from physconvex import InputError
 from physconvex.dynamics import ContactSolver, Plane, Timing, simulate
 from physconvex.fem import ElasticBody, Scene, SurfacePoints
@@ -20,6 +22,8 @@ from physconvex.mesh import TetMesh
 DENSITY, FRICTION, HEIGHT = 1000.0, 0.4, 0.25  # kg/m³; coefficient; of the drop, in sizes
 GRAVITY = 9.81  # m/s²
 SPIN, ASKEW_DEG = (3.0, 5.0), 20.0  # rad/s; of the axis of a toss from the line of sight of the front camera, at most
+
+_SOFTER, _PUSH, _SWING, _RATE = 0.3, 4.0, 0.8, 2.0
 
 MotionName = Literal["drop", "toss"]
 
@@ -114,14 +118,10 @@ def draw_motion(name: MotionName, duration: float, rng: np.random.Generator) -> 
 def placed(body: ObjectMesh, size: float, rng: np.random.Generator) -> ObjectMesh:
     """Scaled to a largest edge of `size` [m], turned about a random axis by up to 25°, HEIGHT sizes above the floor."""
     body = body.scaled(size)
-    axis = rng.normal(size=3)
-    turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * np.radians(rng.uniform(5, 25)))
+    turn = Rotation.from_rotvec(random_direction(rng) * np.radians(rng.uniform(5, 25)))
     x = turn.apply(body.vertices - body.vertices.mean(axis=0))
     x[:, 2] += HEIGHT * size - x[:, 2].min()
-    return ObjectMesh(
-        x, body.faces, body.name, body.family, vertex_colors=body.vertex_colors, uv=body.uv, texture=body.texture,
-        licence=body.licence,
-    )  # fmt: skip
+    return replace(body, vertices=x, signed_distance=None)
 
 
 def scene_of(mesh: TetMesh, truth: dict[str, float], shown: ObjectMesh, motion: BenchmarkMotion) -> Scene:
@@ -147,3 +147,55 @@ def rolled(scene: Scene, frames: int, fps: float, steps_per_frame: int) -> Float
     solver: ContactSolver = "condensed" if scene.obstacles else "passes"
     timing = Timing(frames=frames, fps=fps, steps_per_frame=steps_per_frame, contact_solver=solver)
     return simulate(scene, timing).positions
+
+
+def _softer(scene: Scene) -> Scene:
+    """E times 0.3, contact as stiff as it was."""
+    body = scene.body
+    softer = ElasticBody(
+        body.mesh,
+        law=body.law,
+        youngs_modulus=_SOFTER * body.youngs_modulus,
+        poisson_ratio=body.poisson_ratio,
+        density=body.density,
+    )
+    return replace(scene, body=softer, contact_stiffness=scene.contact().stiffness)
+
+
+def _pushed(scene: Scene) -> Scene:
+    """A uniform acceleration of 4 m/s² along x in addition to gravity."""
+    return replace(scene, gravity=np.asarray(scene.gravity) + np.array([_PUSH, 0.0, 0.0]))
+
+
+def _moving_floor(scene: Scene) -> Scene:
+    """The floor slides along x with 0.8 m/s · sin(2 π 2 Hz t)."""
+
+    def velocity(time: float) -> tuple[float, float, float]:
+        return (float(_SWING * np.sin(2 * np.pi * _RATE * time)), 0.0, 0.0)
+
+    planes = tuple(replace(o, velocity=velocity) if isinstance(o, Plane) else o for o in scene.obstacles)
+    return replace(scene, obstacles=planes)
+
+
+CHANGES: dict[str, Callable[[Scene], Scene]] = {
+    "softer": _softer,
+    "pushed": _pushed,
+    "moving_floor": _moving_floor,
+}
+
+
+def changes_of(scene: Scene) -> tuple[str, ...]:
+    """The changes that apply to a scene: a moving floor needs a floor."""
+    floor = any(isinstance(o, Plane) for o in scene.obstacles)
+    return tuple(name for name in CHANGES if floor or name != "moving_floor")
+
+
+def changed(scene: Scene, name: str) -> Scene:
+    """The same body under a change.
+
+    Raises:
+        InputError: an unknown name.
+    """
+    if name not in CHANGES:
+        raise InputError(f"change: got {name!r}; expected one of {', '.join(CHANGES)}")
+    return CHANGES[name](scene)

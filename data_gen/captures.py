@@ -24,8 +24,10 @@ from data_gen.degrade import draw_degradation
 from data_gen.engines import WorkerOptions, run_tasks
 from data_gen.generate import (
     GenerationSummary,
+    SimulationTask,
     SuccessfulDrop,
     TaskReport,
+    check_source,
     prepare_surface,
     render_view,
     simulate_with_replacements,
@@ -33,7 +35,7 @@ from data_gen.generate import (
 from data_gen.scene import LOOK, Drop, Look, draw_look, random_stream, surface_of
 from physconvex import InputError, __version__
 from physconvex.io import Capture, Floor, Options, Tracks, save_capture
-from physconvex.mesh import TetMesh, compact
+from physconvex.mesh import compact
 
 # Stream numbers below LOOK's key, in addition to those of generate.py.
 _RING, _TRACKS = 20_000, 20_001
@@ -51,13 +53,9 @@ class RingOptions(Options):
 
 
 @dataclass(frozen=True)
-class CaptureTask:
+class CaptureTask(SimulationTask):
     """Capture number `simulation` below `root`."""
 
-    root: Path
-    config: GeneratorConfig
-    seed: int
-    simulation: int
     options: RingOptions
 
 
@@ -88,14 +86,12 @@ def ring_of_looks(
 def make_capture(task: CaptureTask) -> TaskReport:
     """Simulate, render and write one capture, unless all attempts fail."""
     clock = time.perf_counter()
-    result = simulate_with_replacements(task.config, task.seed, task.simulation)
+    success, failures = simulate_with_replacements(task.config, task.seed, task.simulation)
     simulate_seconds = time.perf_counter() - clock
-    success = result.success
     if success is None:
-        return TaskReport(task.simulation, result.failures, True, simulate_seconds, 0.0, 0.0)
+        return TaskReport(task.simulation, failures, True, simulate_seconds, 0.0, 0.0)
     clock = time.perf_counter()
-    rng = random_stream(task.seed, LOOK, task.simulation, success.attempt, _RING)
-    drop, simulated = success.drop, success.simulated
+    rng, drop, simulated = _stream(task, success, _RING), success.drop, success.simulated
     prepare_surface(drop, task.config, rng)
     looks = ring_of_looks(task.config, rng, simulated.surface)
     videos, masks, degradations = {}, {}, {}
@@ -109,14 +105,14 @@ def make_capture(task: CaptureTask) -> TaskReport:
         _capture(task, drop, looks),
         videos=videos,
         masks=masks,
-        mesh=_rest_mesh(drop, random_stream(task.seed, LOOK, task.simulation, success.attempt, _RING)),
-        tets=_corners(simulated.mesh),
+        mesh=_rest_mesh(drop, _stream(task, success, _RING)),
+        tets=compact(simulated.mesh.vertices, simulated.mesh.corner_tets),
         tracks=_tracks(task, success) if task.options.markers else None,
         truth={**_truth(task, success), "degradations": {**degradations}},
         crf=task.config.video.crf,
     )
     write_seconds = time.perf_counter() - clock
-    return TaskReport(task.simulation, result.failures, False, simulate_seconds, render_seconds, write_seconds)
+    return TaskReport(task.simulation, failures, False, simulate_seconds, render_seconds, write_seconds)
 
 
 def _capture(task: CaptureTask, drop: Drop, looks: tuple[Look, ...]) -> Capture:
@@ -145,13 +141,12 @@ def _rest_mesh(drop: Drop, rng: np.random.Generator) -> trimesh.Trimesh:
     return trimesh.Trimesh(surface.vertices, surface.faces, vertex_colors=surface.colors, process=False)
 
 
-def _corners(mesh: TetMesh) -> TetMesh:
-    """The linear tetrahedra on the corners of quadratic ones."""
-    return compact(mesh.vertices, mesh.corner_tets)
+def _stream(task: CaptureTask, success: SuccessfulDrop, number: int) -> np.random.Generator:
+    return random_stream(task.seed, LOOK, task.simulation, success.attempt, number)
 
 
 def _tracks(task: CaptureTask, success: SuccessfulDrop) -> Tracks:
-    rng = random_stream(task.seed, LOOK, task.simulation, success.attempt, _TRACKS)
+    rng = _stream(task, success, _TRACKS)
     surface, options = success.simulated.surface, task.options
     chosen = np.sort(rng.choice(surface.shape[1], min(options.markers, surface.shape[1]), replace=False))
     positions = surface[:, chosen] + rng.normal(scale=options.marker_noise, size=(len(surface), len(chosen), 3))
@@ -197,8 +192,7 @@ def generate_captures(
     """
     root, options = Path(root), options or RingOptions()
     frames = config.video.frames
-    if count < 1:
-        raise InputError(f"count: got {count}; expected at least 1")
+    check_source(config, count)
     if options.observed_frames is not None and not 1 <= options.observed_frames <= frames:
         raise InputError(
             f"observed_frames: got {options.observed_frames}; expected 1 to {frames}, the frames there are"

@@ -15,6 +15,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from physconvex.dynamics import ContactSolver
 from physconvex.io import FrozenConfig, read_tree, set_value, validated
+from physconvex.materials import get_law
 
 
 class Interval(FrozenConfig):
@@ -100,6 +101,7 @@ class MaterialRanges(FrozenConfig):
             raise ValueError("poisson_ratio must lie inside (-1, 0.5)")
         if self.youngs_modulus.low <= 0 or self.density.low <= 0:
             raise ValueError("youngs_modulus and density must be positive")
+        get_law(self.law)
         return self
 
 

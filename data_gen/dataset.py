@@ -88,14 +88,7 @@ def write_simulation(
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     _write_json(partial / "simulation.json", metadata)
-    np.savez(
-        partial / "samples.npz",
-        points=samples.points.astype(np.float32),
-        volume_weights=samples.volume_weights.astype(np.float32),
-        displacements=samples.displacements.astype(np.float32),
-        modes=samples.modes.astype(np.float32),
-        eigenvalues=samples.eigenvalues.astype(np.float32),
-    )
+    np.savez(partial / "samples.npz", **{name: value.astype(np.float32) for name, value in vars(samples).items()})
     for number, view in enumerate(views):
         (partial / f"view{number}.mp4").write_bytes(view.video)
         np.savez(
@@ -236,11 +229,6 @@ class ClipRecord:
         """The camera of this view."""
         view = json.loads((self.folder / f"view{self.view}.json").read_text(encoding="utf-8"))
         return Camera.from_json(view["camera"])
-
-    @property
-    def camera_to_world(self) -> np.ndarray:
-        """Camera-to-world matrix, shape [4, 4]."""
-        return self.camera.transform_matrix
 
 
 @dataclass(frozen=True, eq=False)

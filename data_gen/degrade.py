@@ -41,17 +41,9 @@ def draw_degradation(config: DegradationConfig, rng: np.random.Generator, crf: i
         config.exposure_share,
         config.shake_share,
     )
-    noise, strong, shutter = (
-        config.noise.sample(rng),
-        config.compression_crf.sample(rng),
-        config.shutter.sample(rng),
-    )
-    stops, red, blue = (
-        config.exposure_stops.sample(rng),
-        config.white_balance.sample(rng),
-        config.white_balance.sample(rng),
-    )
-    gamma, wander = config.gamma.sample(rng), config.shake.sample(rng)
+    ranges = (config.noise, config.compression_crf, config.shutter, config.exposure_stops, config.white_balance)
+    noise, strong, shutter, stops, red = (values.sample(rng) for values in ranges)
+    blue, gamma, wander = (values.sample(rng) for values in (config.white_balance, config.gamma, config.shake))
     gain = 2.0**stops
     return Degradation(
         noise=noise if noisy else 0.0,
@@ -92,14 +84,8 @@ def shake(
     steps = rng.normal(size=(len(images), 2))
     path = np.cumsum(steps, axis=0) - np.arange(len(images))[:, None] * steps.mean(axis=0)
     path *= degradation.shake * height / max(float(path.std()), 1e-9)
-    moved = [
-        cv2.warpAffine(
-            image,
-            np.array([[1, 0, dx], [0, 1, dy]]),
-            (width, height),
-            flags=cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        for image, (dx, dy) in zip(images, path, strict=True)
-    ]
+    moved = []
+    for image, (dx, dy) in zip(images, path, strict=True):
+        move = np.array([[1, 0, dx], [0, 1, dy]])
+        moved.append(cv2.warpAffine(image, move, (width, height), borderMode=cv2.BORDER_REPLICATE))
     return np.stack(moved)

@@ -1,17 +1,18 @@
-"""Execution of simulations: in this process, in local worker processes, or on a ray or dask cluster."""
+"""Execution of independent tasks: in this process, in local worker processes, or on a ray or dask cluster."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from typing import Annotated, Literal, TypeVar
+from functools import partial
+from typing import Annotated, Literal, Protocol, TypeVar, runtime_checkable
 
 from pydantic import Field
 
 from physconvex import InputError
-from physconvex.io import ONE_THREAD, Options, end_with_parent, one_thread_each
+from physconvex.io import ONE_THREAD, Options, Workers, end_with_parent, one_thread_each
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -81,3 +82,29 @@ def _dask(function: Callable[[Task], Result], tasks: Sequence[Task], workers: in
                 yield future.result()
         if cluster is not None:
             cluster.close()
+
+
+@runtime_checkable
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+Job = TypeVar("Job", bound=_Named)
+
+
+def run_jobs(
+    function: Callable[[Job], None], jobs: Iterable[Job], *, workers: int, report: Callable[[str], None]
+) -> None:
+    """Call a function on each job, which must be picklable.
+
+    Args:
+        function: function of one job.
+        jobs: jobs with names.
+        workers: number of processes.
+        report: receives each name, in order, when the function waits for its job.
+    """
+    with Workers(workers) as pool:
+        for job, wait in [(job, pool.start(partial(function, job))) for job in jobs]:
+            report(job.name)
+            wait()

@@ -18,6 +18,7 @@ from data_gen.config import GeneratorConfig
 from data_gen.dataset import RenderedView, finish_dataset, is_settled, write_claim, write_given_up, write_simulation
 from data_gen.degrade import Degradation, draw_degradation, expose, shake, sub_positions
 from data_gen.engines import WorkerOptions, run_tasks
+from data_gen.objects.user_meshes import objects_from_folder
 from data_gen.render import Renderer
 from data_gen.scene import LOOK, Drop, Look, draw_drop, draw_look, random_stream, split_of, surface_of
 from data_gen.simulate import SimulatedDrop, simulate_drop
@@ -60,14 +61,6 @@ class SuccessfulDrop:
     attempt: int
     drop: Drop
     simulated: SimulatedDrop
-
-
-@dataclass(frozen=True, eq=False)
-class Attempts:
-    """Result of the attempts at one simulation: the first success or None, and the errors of the others."""
-
-    success: SuccessfulDrop | None
-    failures: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -122,8 +115,10 @@ def _encode(frames: np.ndarray, fps: float, crf: int) -> bytes:
         return path.read_bytes()
 
 
-def simulate_with_replacements(config: GeneratorConfig, seed: int, simulation: int) -> Attempts:
-    """Draw and simulate a drop; failed attempts are replaced by new draws, at most `solver.max_attempts` in all."""
+def simulate_with_replacements(
+    config: GeneratorConfig, seed: int, simulation: int
+) -> tuple[SuccessfulDrop | None, tuple[str, ...]]:
+    """The first attempt at a drop that succeeds, if one of `solver.max_attempts` does, and the errors of the others."""
     failures: list[str] = []
     for attempt in range(config.solver.max_attempts):
         try:
@@ -133,8 +128,8 @@ def simulate_with_replacements(config: GeneratorConfig, seed: int, simulation: i
         except ConvergenceError as error:
             failures.append(f"attempt {attempt}: {error}")
         else:
-            return Attempts(SuccessfulDrop(attempt, drop, simulated), tuple(failures))
-    return Attempts(None, tuple(failures))
+            return SuccessfulDrop(attempt, drop, simulated), tuple(failures)
+    return None, tuple(failures)
 
 
 def make_simulation(task: SimulationTask) -> TaskReport:
@@ -144,26 +139,25 @@ def make_simulation(task: SimulationTask) -> TaskReport:
     abandoned.
     """
     clock = time.perf_counter()
-    result = simulate_with_replacements(task.config, task.seed, task.simulation)
+    success, failures = simulate_with_replacements(task.config, task.seed, task.simulation)
     simulate_seconds = time.perf_counter() - clock
-    if result.success is None:
-        write_given_up(task.root, task.simulation, list(result.failures))
-        return TaskReport(task.simulation, result.failures, True, simulate_seconds, 0.0, 0.0)
-    attempt, drop, simulated = result.success.attempt, result.success.drop, result.success.simulated
+    if success is None:
+        write_given_up(task.root, task.simulation, list(failures))
+        return TaskReport(task.simulation, failures, True, simulate_seconds, 0.0, 0.0)
     clock = time.perf_counter()
-    views = _views(task, attempt, drop, simulated)
+    views = _views(task, success)
     render_seconds = time.perf_counter() - clock
     clock = time.perf_counter()
-    metadata = _metadata(task, attempt, drop, simulated) | {"failures": list(result.failures)}
-    write_simulation(task.root, task.simulation, metadata, simulated.samples, views)
+    metadata = _metadata(task, success) | {"failures": list(failures)}
+    write_simulation(task.root, task.simulation, metadata, success.simulated.samples, views)
     write_seconds = time.perf_counter() - clock
-    return TaskReport(task.simulation, result.failures, False, simulate_seconds, render_seconds, write_seconds)
+    return TaskReport(task.simulation, failures, False, simulate_seconds, render_seconds, write_seconds)
 
 
-def _views(task: SimulationTask, attempt: int, drop: Drop, simulated: SimulatedDrop) -> list[RenderedView]:
-    config = task.config
+def _views(task: SimulationTask, success: SuccessfulDrop) -> list[RenderedView]:
+    config, attempt, simulated = task.config, success.attempt, success.simulated
     video = config.video
-    prepare_surface(drop, config, random_stream(task.seed, LOOK, task.simulation, attempt, _COLORS))
+    prepare_surface(success.drop, config, random_stream(task.seed, LOOK, task.simulation, attempt, _COLORS))
     views = []
     for number in range(config.camera.views):
         rng = random_stream(task.seed, LOOK, task.simulation, attempt, number)
@@ -180,12 +174,12 @@ def _views(task: SimulationTask, attempt: int, drop: Drop, simulated: SimulatedD
     return views
 
 
-def _metadata(task: SimulationTask, attempt: int, drop: Drop, simulated: SimulatedDrop) -> dict[str, JsonValue]:
-    objects, video = task.config.objects, task.config.video
+def _metadata(task: SimulationTask, success: SuccessfulDrop) -> dict[str, JsonValue]:
+    objects, video, drop, simulated = task.config.objects, task.config.video, success.drop, success.simulated
     return {
         "simulation": task.simulation,
         "seed": task.seed,
-        "attempt": attempt,
+        "attempt": success.attempt,
         "generator_version": __version__,
         "object_id": drop.object_id,
         "family": drop.family,
@@ -207,6 +201,14 @@ def _metadata(task: SimulationTask, attempt: int, drop: Drop, simulated: Simulat
     }
 
 
+def check_source(config: GeneratorConfig, count: int) -> None:
+    """Refuse a bad number of simulations, or a folder without objects, before anything is written."""
+    if count < 1:
+        raise InputError(f"count: got {count}; expected at least 1")
+    if config.objects.folder is not None:
+        objects_from_folder(config.objects.folder)
+
+
 def generate_dataset(
     root: str | Path,
     *,
@@ -226,8 +228,7 @@ def generate_dataset(
         InputError: the folder holds a data set of another seed or configuration, or not one simulation succeeded.
     """
     root = Path(root)
-    if count < 1:
-        raise InputError(f"count: got {count}; expected at least 1")
+    check_source(config, count)
     write_claim(root, {"seed": seed, "configuration": config.model_dump(mode="json"), "generator_version": __version__})
     todo = [n for n in range(count) if not is_settled(root, n)]
     tasks = [SimulationTask(root.resolve(), config, seed, n) for n in todo]

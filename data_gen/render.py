@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
-from data_gen.lighting import Backdrop, Lighting
-from data_gen.surface import DrawnSurface, corner_normals
+from data_gen.surface import Backdrop, DrawnSurface, Lighting, corner_normals
 from data_gen.vtk_passes import (
     light_object,
     object_pass,

@@ -10,10 +10,10 @@ from jaxtyping import Float, UInt8
 from scipy.spatial.transform import Rotation
 
 from data_gen.config import CameraConfig, GeneratorConfig, MotionConfig
-from data_gen.lighting import Backdrop, Lighting
 from data_gen.objects.library import ObjectMesh, random_object
+from data_gen.objects.solids import random_direction
 from data_gen.objects.user_meshes import load_user_mesh, objects_from_folder
-from data_gen.surface import DrawnSurface
+from data_gen.surface import Backdrop, DrawnSurface, Lighting
 from data_gen.textures import background_texture, floor_texture, vertex_colors
 from physconvex.io import Camera, look_at
 
@@ -81,7 +81,7 @@ def draw_drop(
     body = body.scaled(size)
     turned = body.vertices @ rotation.T
     lift = motion.drop_height.sample(rng) * size - turned[:, 2].min()
-    direction, axis = _unit(rng), _unit(rng)
+    direction, axis = random_direction(rng), random_direction(rng)
     return Drop(
         object_id=body.name,
         family=body.family,
@@ -107,11 +107,6 @@ def draw_object(config: GeneratorConfig, seed: int, simulation: int, attempt: in
         return load_user_mesh(paths[number % len(paths)])
     # A failed simulation is replaced by one of another object: most failures are meshes, which would fail again.
     return random_object(random_stream(seed, _OBJECT, number, *([attempt] if attempt else [])))
-
-
-def _unit(rng: np.random.Generator) -> np.ndarray:
-    vector = rng.normal(size=3)
-    return vector / np.linalg.norm(vector)
 
 
 def _orientation(motion: MotionConfig, rng: np.random.Generator) -> np.ndarray:

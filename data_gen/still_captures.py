@@ -14,10 +14,9 @@ import trimesh
 from jaxtyping import Float, UInt8
 from PIL import Image
 
-from data_gen.lighting import Backdrop, Lighting
 from data_gen.objects.library import ObjectMesh
 from data_gen.render import Renderer
-from data_gen.surface import DrawnSurface
+from data_gen.surface import Backdrop, DrawnSurface, Lighting
 from physconvex import InputError
 from physconvex.io import Camera, look_at
 
@@ -98,7 +97,7 @@ def write_still_capture(
     """
     if folder.exists():
         raise InputError(f"{folder}: exists; choose another folder or remove it first")
-    surface = DrawnSurface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
+    surface = body.drawn()
     cameras = [*cameras, *(camera for group in views for camera in still_cameras(body.vertices, group, size))]
     partial = folder.with_name(f".{folder.name}.{os.getpid()}.part")
     shutil.rmtree(partial, ignore_errors=True)

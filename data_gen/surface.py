@@ -1,4 +1,4 @@
-"""The surface that is drawn, and its normals while it deforms."""
+"""What is drawn: a surface, its normals while it deforms, light, floor and background."""
 
 from __future__ import annotations
 
@@ -76,3 +76,40 @@ def corner_normals(
     keep = (cosine > np.cos(np.deg2rad(sharp_angle_deg))) | (own == pairs.col)
     weights = np.ones(int(keep.sum()))
     return CornerNormals(sp.csr_matrix((weights, (pairs.row[keep], pairs.col[keep])), shape=(3 * count, count)))
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """One key light far away, a fill light from the other side, ambient light and the floor's reflection.
+
+    Attributes:
+        direction: unit vector from the scene to the key light, shape [3], z > 0.
+        key, fill, ambient: intensities, factors on the texture colour.
+        color: RGB factor of the key light.
+        specular: strength of the highlight.
+        bounce: light from straight below, a factor on `ambient`.
+        shadow_softness: standard deviation of the shadow's edge, in image heights.
+    """
+
+    direction: tuple[float, float, float]
+    key: float = 0.8
+    fill: float = 0.25
+    ambient: float = 0.35
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    specular: float = 0.1
+    shadow_softness: float = 0.01
+    bounce: float = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Backdrop:
+    """Floor (plane z = 0) and background.
+
+    Attributes:
+        floor: texture, shape [h, w, 3] uint8, one tile of edge `floor_tile` [m].
+        background: picture of the far surroundings, shape [h, w, 3] uint8 (row 0 is up).
+    """
+
+    floor: UInt8[np.ndarray, "h w 3"]
+    background: UInt8[np.ndarray, "h2 w2 3"]
+    floor_tile: float = 1.0

@@ -12,6 +12,7 @@ from jaxtyping import Float, UInt8
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
+from data_gen.objects.solids import random_direction
 from physconvex import InputError
 
 # Points [N, 3] in body units (size 1) -> where on the palette, [N] in 0..1
@@ -41,11 +42,6 @@ def noise(points: Float[np.ndarray, "N d"], rng: np.random.Generator, *, octaves
     return np.clip(0.5 + 1.4 * (total / weight - 0.5), 0.0, 1.0)
 
 
-def _direction(rng: np.random.Generator) -> np.ndarray:
-    vector = rng.normal(size=3)
-    return vector / np.linalg.norm(vector)
-
-
 def _frame(rng: np.random.Generator) -> np.ndarray:
     return np.linalg.qr(rng.normal(size=(3, 3)))[0]
 
@@ -57,7 +53,7 @@ def plain(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def stripes(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Parallel bands, wavy or straight."""
-    phase = rng.uniform(3, 9) * points @ _direction(rng) + rng.choice([0.0, 0.8]) * noise(3 * points, rng)
+    phase = rng.uniform(3, 9) * points @ random_direction(rng) + rng.choice([0.0, 0.8]) * noise(3 * points, rng)
     bands = rng.integers(2, 5)
     return np.floor(phase * 1.0 % 1 * bands) / max(bands - 1, 1)
 
@@ -90,7 +86,7 @@ def giraffe(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def marble(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Veins: a sine disturbed by noise (Perlin 1985)."""
-    wave = rng.uniform(3, 7) * points @ _direction(rng) + rng.uniform(1, 2) * noise(4 * points, rng)
+    wave = rng.uniform(3, 7) * points @ random_direction(rng) + rng.uniform(1, 2) * noise(4 * points, rng)
     return np.abs(np.sin(np.pi * wave)) ** rng.uniform(0.4, 1.0)
 
 
@@ -192,7 +188,7 @@ def background_texture(rng: np.random.Generator, size: int) -> UInt8[np.ndarray,
     if kind == "plain":
         place = np.full(len(points), rng.random())
     elif kind == "gradient":
-        place = points @ _direction(rng) + 0.5
+        place = points @ random_direction(rng) + 0.5
     elif kind == "clouds":
         place = noise(points[:, :2] * rng.uniform(2, 6), rng)
     else:

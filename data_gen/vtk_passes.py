@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from jaxtyping import Float
 
-from data_gen.lighting import Backdrop, Lighting
-from data_gen.surface import DrawnSurface
+from data_gen.surface import Backdrop, DrawnSurface, Lighting
 from physconvex import PhysconvexError
 from physconvex.io import Camera, load_triton_first
 

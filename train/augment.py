@@ -14,7 +14,7 @@ from models import GREY, MOMENT_NAMES, mirrored_moments
 from train.config import AugmentConfig
 from train.motion_states import flipped_states, referred_states
 
-_COLUMN = {name: k for k, name in enumerate(MOMENT_NAMES)}
+COLUMN = {name: k for k, name in enumerate(MOMENT_NAMES)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +35,8 @@ def augment(sample: Sample, config: AugmentConfig, generator: np.random.Generato
     if generator.random() < config.flip_share:
         sample = flipped(sample)
     noise = generator.normal(0, config.moment_noise, sample.moments.shape).astype(np.float32)
-    noise[:, _COLUMN["sxx"] : _COLUMN["syy"] + 1] *= 0.2
-    noise[:, _COLUMN["touches_border"]] = 0
+    noise[:, COLUMN["sxx"] : COLUMN["syy"] + 1] *= 0.2
+    noise[:, COLUMN["touches_border"]] = 0
     sample = replace(sample, moments=sample.moments + noise * np.float32(generator.random()))
     return replace(sample, windows=_colours(_geometry(sample.windows, config, generator), config, generator))
 
@@ -82,12 +82,12 @@ def _referred_to_first(moments: Float32[np.ndarray, "T M"]) -> Float32[np.ndarra
     result = moments.copy()
     for axis, names in (("centroid_x", ("left", "right")), ("centroid_y", ("bottom", "top"))):
         for name in (axis, *names):
-            result[:, _COLUMN[name]] -= moments[0, _COLUMN[axis]]
-    width = moments[:3, _COLUMN["right"]] - moments[:3, _COLUMN["left"]]
-    height = moments[:3, _COLUMN["top"]] - moments[:3, _COLUMN["bottom"]]
+            result[:, COLUMN[name]] -= moments[0, COLUMN[axis]]
+    width = moments[:3, COLUMN["right"]] - moments[:3, COLUMN["left"]]
+    height = moments[:3, COLUMN["top"]] - moments[:3, COLUMN["bottom"]]
     unit = max(float(np.median(np.maximum(width, height))), 0.05)
-    result[:, : _COLUMN["sxx"]] /= unit
-    result[:, _COLUMN["sxx"] : _COLUMN["syy"] + 1] /= unit**2
+    result[:, : COLUMN["sxx"]] /= unit
+    result[:, COLUMN["sxx"] : COLUMN["syy"] + 1] /= unit**2
     return result
 
 

@@ -177,12 +177,4 @@ def _prepare(clip: LabelledClip, settings: ClipConfig, true_mask_share: float) -
     found = prepare_clip(frames, fps=fps, config=settings)
     draw = int.from_bytes(hashlib.sha256(clip.name.encode()).digest()[:4], "big") / 2**32
     shown = known if draw < true_mask_share else found
-    return {
-        "windows": shown.windows,
-        "mask": shown.mask,
-        "moments": np.stack([found.moments, known.moments]),
-        "valid": shown.valid,
-        "fps": shown.fps,
-        "confidence": shown.confidence,
-        "start_time": shown.start_time,
-    }
+    return {name: getattr(shown, name) for name in _ARRAYS} | {"moments": np.stack([found.moments, known.moments])}

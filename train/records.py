@@ -68,7 +68,7 @@ class LabelledClip:
     def samples(self) -> ClipSamples:
         """Rest points, volumes, motion and skinning eigenmodes in this view."""
         stored, size = self.record.samples(), self.object_size
-        axes = camera_aligned_axes(self.record.camera_to_world)
+        axes = camera_aligned_axes(self.record.camera.transform_matrix)
         points = np.asarray(stored.points, np.float64)
         centre = (points.min(axis=0) + points.max(axis=0)) / 2
         eigenvalues = np.maximum(np.asarray(stored.eigenvalues, np.float64), 1e-12)

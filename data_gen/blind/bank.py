@@ -16,8 +16,8 @@ from pydantic import Field
 
 from data_gen.blind.cases import BLIND_EFFECTS, Case, capture_parts, draw_case, simulate_case
 from data_gen.blind.explicit_cases import EXPLICIT_EFFECTS, simulate_explicit
-from data_gen.blind.jobs import run_jobs
 from data_gen.blind.plan import Planned, Shares, plan_bank
+from data_gen.engines import run_jobs
 from physconvex import ConvergenceError, InputError
 from physconvex.io import CommandLine, Options, load_capture, save_capture
 

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from data_gen.blind.cases import Case, HiddenEffect, floor_height
 from data_gen.blind.engine import ExplicitWorld, run_explicit
+from data_gen.objects.solids import random_direction
 from physconvex import ConvergenceError
 from physconvex.gap import PointMotion, rotation_vector_matrix, with_plane
 from physconvex.mesh import TetMesh, tetrahedralize
@@ -27,7 +28,6 @@ _WEAKEST, _STRONGEST = 0.02, 8.0  # multiples of a moderate dose
 _SOFT_CONTACT = 12.0  # contact modulus over E/size, of runs with an intended numerical error
 _NODES = (250, 2000)  # mesh sizes for the search of the dose, and for the capture
 OUTSIDE = ("tether",)  # in no dictionary
-HELD_EFFECTS = ("attached_mass",)  # of held bodies only
 EXPLICIT_EFFECTS: tuple[str, ...] = (
     "damping", "viscoelasticity", "plasticity", "heterogeneity", "anisotropy", "nonlinear_elasticity", "friction",
     "restitution", "gravity_tilt", "air_drag", "wind", "attached_mass", "initial_velocity", "initial_spin",
@@ -50,11 +50,6 @@ class Dosed:
     fast: float = 0.0
 
 
-def _direction(rng: np.random.Generator, size: int = 3) -> np.ndarray:
-    vector = rng.normal(size=size)
-    return np.asarray(vector / np.linalg.norm(vector))
-
-
 def _world_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> Dosed:
     """Effects of the dynamics; `s` = 1 is moderate."""
     size, modulus = case.size, case.youngs_modulus
@@ -75,7 +70,7 @@ def _world_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> 
         doses = (1.0 * s,)
         fields = {"stiffening": doses[0]}
     elif name == "anisotropy":
-        along = _direction(rng)
+        along = random_direction(rng)
         doses, units = (0.5 * s, *along), ("", "", "", "")
         fields = {"fibre": (doses[0], along)}
     elif name == "friction":
@@ -88,20 +83,20 @@ def _world_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> 
         doses, units = (0.05 * s / size,), ("1/m",)
         fields = {"drag_rate": doses[0]}
     elif name == "wind":
-        along = _direction(rng, 2)
+        along = random_direction(rng, 2)
         air = float(np.sqrt(0.03 * s * 9.81 * case.density * size / 2 / 0.9))
         doses, units = (air * along[0], air * along[1]), ("m/s", "m/s")
         fields = {"wind": (0.15, (doses[0], doses[1], 0.0))}
     elif name == "gravity_tilt":
-        along = np.radians(2.0 * s) * _direction(rng, 2)
+        along = np.radians(2.0 * s) * random_direction(rng, 2)
         turned = rotation_vector_matrix(np.array([*along, 0.0])) @ np.array([0, 0, -9.81])
         doses, units = tuple(np.degrees(along)), ("deg", "deg")
         fields = {"gravity": tuple(turned)}
     elif name == "initial_velocity":
-        doses, units = tuple(0.05 * s * speed * _direction(rng)), ("m/s",) * 3
+        doses, units = tuple(0.05 * s * speed * random_direction(rng)), ("m/s",) * 3
         fields = {"velocity": tuple(np.array(case.velocity) + doses)}
     elif name == "initial_spin":
-        doses, units = tuple(0.2 * s * speed / size * _direction(rng)), ("rad/s",) * 3
+        doses, units = tuple(0.2 * s * speed / size * random_direction(rng)), ("rad/s",) * 3
         fields = {"spin": tuple(np.array(case.spin) + doses)}
     else:
         return _field_effect(name, s, case, rng)
@@ -133,7 +128,7 @@ def _field_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> 
 
         return Dosed(loaded, None, (ratio,), ("",))
     if name == "tether":  # a soft spring between one side of the body and its initial place
-        side = _direction(rng)
+        side = random_direction(rng)
 
         def tied(world: ExplicitWorld) -> ExplicitWorld:
             x = world.mesh.vertices @ side
@@ -153,7 +148,7 @@ def _seen_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> D
     if name == "time_scale":
         change = 0.03 * s * float(rng.choice([-1.0, 1.0]))
         return Dosed(None, None, (change,), ("",), fast=change)
-    turn, shift = np.radians(1.0 * s) * _direction(rng), 0.01 * s * case.size * _direction(rng)
+    turn, shift = np.radians(1.0 * s) * random_direction(rng), 0.01 * s * case.size * random_direction(rng)
     matrix = rotation_vector_matrix(turn)
 
     def moved(motion: PointMotion) -> Positions:  # about the mean of the markers, as in the dictionary

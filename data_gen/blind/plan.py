@@ -9,8 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from data_gen.blind.cases import kinds_for
-from data_gen.blind.classes import class_of, same_class
-from data_gen.blind.controls import CONTROLS, Control
+from data_gen.blind.controls import CONTROLS, Control, class_of, same_class
 from data_gen.blind.explicit_cases import OUTSIDE
 from physconvex import InputError
 from physconvex.io import CommandLine, Options

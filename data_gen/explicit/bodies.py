@@ -72,24 +72,21 @@ class FallingBody:
         return to_quadratic(TetMesh(corners, self.tets.astype(np.int64)))
 
 
-def falling_body(
-    drop: Drop, mesh: TetMesh, *, scale: float = 1.0, frames: int = 24, fps: float = FPS, gravity: float = GRAVITY[2]
-) -> FallingBody:
+def falling_body(drop: Drop, mesh: TetMesh, *, scale: float = 1.0, frames: int = 24) -> FallingBody:
     """A drop with a mesh of its body, lifted off the floor if its nodes reach below.
 
     Args:
         drop: the drop.
         mesh: in the frame of `drop.body`, except for the scale.
         scale: of the drop's body over the mesh.
-        frames, fps: of the fall [1/s].
-        gravity: upwards [m/s²].
+        frames: of the fall.
     """
     linear = linear_part(mesh)
     corners = linear.vertices.astype(np.float32)
     x = drop.placed(scale * corners.astype(np.float64))
     shift = drop.shift + np.array([0.0, 0.0, max(0.0, 1e-3 * drop.size - x[:, 2].min())])
     placed = TetMesh(x + shift - drop.shift, linear.tets)
-    turns, centres, velocity, spin = _flight(drop, placed, frames, fps, gravity)
+    turns, centres, velocity, spin = _flight(drop, placed, frames)
     return FallingBody(
         corners=corners,
         tets=linear.tets.astype(np.uint16),
@@ -130,22 +127,22 @@ def _stiffest(drop: Drop, mesh: TetMesh) -> float:
 
 
 def _flight(
-    drop: Drop, mesh: TetMesh, frames: int, fps: float, gravity: float
+    drop: Drop, mesh: TetMesh, frames: int
 ) -> tuple[
     Float64[np.ndarray, "T 4"], Float64[np.ndarray, "T 3"], Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]
 ]:
     """Rotations and centres at the frames before the rigid body touches the floor, velocity and spin at the last."""
     centre, inertia = mass_properties(mesh)
     arms = mesh.vertices - centre
-    speed, between = np.asarray(drop.initial_velocity), int(np.ceil(1000 / fps))
-    step, largest = 1 / (fps * between), np.linalg.norm(arms, axis=1).max()
+    speed, between = np.asarray(drop.initial_velocity), int(np.ceil(1000 / FPS))
+    step, largest = 1 / (FPS * between), np.linalg.norm(arms, axis=1).max()
     turns: list[np.ndarray] = []
     centres: list[np.ndarray] = []
     velocity, spin_then = speed, np.asarray(drop.initial_angular_velocity)
     turned = turning(inertia, drop.initial_angular_velocity, step)
     for number, (turn, spin) in zip(range((frames - 1) * between + 1), turned, strict=False):
         time = number * step
-        gained = np.array([0.0, 0.0, time * gravity])
+        gained = np.array([0.0, 0.0, time * GRAVITY[2]])
         now, fall = centre + time * (speed + 0.5 * gained), speed[2] + gained[2]
         lowest = now[2] - largest if now[2] > 1.1 * largest else now[2] + (arms @ turn.as_matrix()[2]).min()
         if turns and lowest + _MARGIN * (fall - np.linalg.norm(spin) * largest) <= 0:
@@ -202,24 +199,16 @@ class _Laid:
     boundary: Int32[np.ndarray, "F 3"]
 
 
-def lay_out(
-    bodies: Sequence[FallingBody],
-    *,
-    frames: int = 24,
-    fps: float = FPS,
-    gravity: float = GRAVITY[2],
-    caution: float = 1.0,
-    workers: int = 0,
-) -> Layout:
+def lay_out(bodies: Sequence[FallingBody], *, frames: int = 24, caution: float = 1.0, workers: int = 0) -> Layout:
     """The kernel's input.
 
     Args:
         bodies: those with the longest computation come first.
-        frames, fps, gravity: as in `falling_body`.
+        frames: of the falls.
         caution: steps are shorter by this factor than usual.
         workers: processes; up to 1, this process does everything.
     """
-    lay = partial(_laid, frames=frames, fps=fps, gravity=gravity, caution=caution)
+    lay = partial(_laid, frames=frames, caution=caution)
     with Workers(max(workers, 1)) as pool:
         laid = pool.map(lay, bodies)
     stages = sorted({one.stages for one in laid})
@@ -231,20 +220,15 @@ def lay_out(
         table.append((node, count, element, elements, one.first_frame, one.stages, offset[one.stages], slot, one.steps))
         node, element, total = node + count, element + elements, total + 3 * count * frames
         slot += len(one.incident)
-
-    def joined(name: str) -> np.ndarray:
-        return np.concatenate([getattr(one, name) for one in laid])
-
+    joined = {
+        name: np.concatenate([getattr(one, name) for one in laid])
+        for name in ("geometry", "corners", "incident", "begin", "nodes", "start")
+    }
     layout = Layout(
         table=np.array(table, np.int32),
         materials=np.stack([one.material for one in laid]),
         coefficients=np.concatenate([chebyshev_coefficients(s) for s in stages]).astype(np.float32),
-        geometry=joined("geometry"),
-        corners=joined("corners"),
-        incident=joined("incident"),
-        begin=joined("begin"),
-        nodes=joined("nodes"),
-        start=joined("start"),
+        **joined,
         out=np.zeros(total, np.float32),
         frames=frames,
         boundary=tuple(one.boundary for one in laid),
@@ -254,21 +238,21 @@ def lay_out(
     return layout
 
 
-def _laid(body: FallingBody, frames: int, fps: float, gravity: float, caution: float) -> _Laid:
+def _laid(body: FallingBody, frames: int, caution: float) -> _Laid:
     mesh = body.mesh()
     size, turns, centres = mesh.size, body.turns[:frames], body.centres[:frames]
     stiffness, smoothing, slip = contact_defaults(body.youngs_modulus, size)
     masses, areas = _lumped_masses(mesh, body.density), mesh.node_areas
     fastest = stiffness * float((areas / masses).max())
-    steps = int(np.ceil(caution * max(_LEAST_STEPS, np.sqrt(fastest / _CONTACT) / fps)))
-    step = 1 / (fps * steps)
+    steps = int(np.ceil(caution * max(_LEAST_STEPS, np.sqrt(fastest / _CONTACT) / FPS)))
+    step = 1 / (FPS * steps)
     stages = max(_LEAST_STAGES, stages_for(_SAFETY * step * body.damping_time * body.stiffest))
     mu, lam = lame_parameters(
         *(torch.tensor(v, dtype=torch.float64) for v in (body.youngs_modulus, body.poisson_ratio))
     )
     material = (
         *(float(mu), float(lam), body.damping_time, stiffness, smoothing, body.friction, slip),
-        *(step, gravity, 0.25 * reach(stages) / step),
+        *(step, GRAVITY[2], 0.25 * reach(stages) / step),
     )
     x = mesh.vertices[mesh.corner_tets]
     inner = np.linalg.inv(x[:, 1:] - x[:, :1]).transpose(0, 2, 1)

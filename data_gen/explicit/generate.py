@@ -1,9 +1,10 @@
-"""Falls without pictures: shapes drawn, meshed and dropped several times each, like the generator's drops."""
+"""Falls without pictures: shapes drawn, meshed and dropped several times each, and their files."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,6 @@ from data_gen.config import GeneratorConfig
 from data_gen.dataset import write_claim
 from data_gen.engines import WorkerOptions, run_tasks
 from data_gen.explicit.bodies import FPS, GRAVITY, LARGEST, FallingBody, falling_body
-from data_gen.explicit.store import load_bodies, save_bodies
 from data_gen.scene import draw_drop, draw_object
 from physconvex import ConvergenceError, InputError, __version__
 from physconvex.mesh import tetrahedralize_implicit
@@ -21,6 +21,7 @@ from physconvex.numerics import one_torch_thread
 
 SHAPES = 20  # of one file
 _NODES = 1900
+_NUMBERS = ("size", "youngs_modulus", "poisson_ratio", "density", "damping_time", "friction", "stiffest")
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ def generate_falls(
         raise InputError(f"shapes: got {shapes}; expected at least 1")
     if not 20 <= nodes <= LARGEST:
         raise InputError(f"nodes: got {nodes}; expected 20 to {LARGEST}, which fit into a GPU's shared memory")
+    _check(config)
     claim = {"seed": seed, "configuration": config.model_dump(mode="json"), "generator_version": __version__}
     write_claim(root, claim | {"nodes": nodes})
     parts = [(first, min(first + SHAPES, shapes)) for first in range(0, shapes, SHAPES)]
@@ -96,13 +98,7 @@ def draw_falls(config: GeneratorConfig, seed: int, shape: int, *, nodes: int = _
     Raises:
         InputError: the configuration requires objects of a folder, or another gravity or frame rate than that of falls.
     """
-    if config.objects.folder is not None:
-        raise InputError(f"objects: got the folder {config.objects.folder}; expected procedural bodies")
-    if config.motion.gravity != GRAVITY or config.video.fps != FPS:
-        raise InputError(
-            f"motion.gravity, video.fps: got {config.motion.gravity}, {config.video.fps}; expected {GRAVITY}, {FPS}, "
-            "with which falls are rolled out"
-        )
+    _check(config)
     falls = config.objects.simulations_per_object
     try:
         drawn = draw_object(config, seed, shape * falls, 0)
@@ -115,6 +111,16 @@ def draw_falls(config: GeneratorConfig, seed: int, shape: int, *, nodes: int = _
         return []
     frames = config.video.frames
     return [falling_body(drop, mesh, scale=drop.body.size / body.size, frames=frames) for drop in drops]
+
+
+def _check(config: GeneratorConfig) -> None:
+    if config.objects.folder is not None:
+        raise InputError(f"objects: got the folder {config.objects.folder}; expected procedural bodies")
+    if config.motion.gravity != GRAVITY or config.video.fps != FPS:
+        raise InputError(
+            f"motion.gravity, video.fps: got {config.motion.gravity}, {config.video.fps}; expected {GRAVITY}, {FPS}, "
+            "with which falls are rolled out"
+        )
 
 
 def _file(root: Path, number: int) -> Path:
@@ -134,3 +140,56 @@ def _make_file(task: _Task) -> int:
         found = [draw_falls(task.config, task.seed, shape, nodes=task.nodes) for shape in range(*task.shapes)]
     save_bodies(_file(task.root, task.number), [falls for falls in found if falls], drawn=task.shapes)
     return task.shapes[1] - task.shapes[0]
+
+
+def save_bodies(path: Path, shapes: Sequence[Sequence[FallingBody]], *, drawn: tuple[int, int]) -> None:
+    """Write the falls of some shapes, each of which shares corners and tetrahedra, atomically.
+
+    Args:
+        path: of the file.
+        shapes: the falls of each.
+        drawn: numbers of the first shape drawn for it and of the one beyond the last; some draws may fail.
+
+    Raises:
+        ConvergenceError: no shape is there.
+    """
+    if not shapes:
+        raise ConvergenceError(f"none of the shapes {drawn[0]} to {drawn[1] - 1} could be meshed")
+    bodies = [body for shape in shapes for body in shape]
+    first = [shape[0] for shape in shapes]
+    content = {name: np.array([getattr(body, name) for body in bodies]) for name in _NUMBERS}
+    content |= {name: np.stack([getattr(body, name) for body in bodies]) for name in ("place", "velocity", "spin")}
+    for name in ("turns", "centres"):
+        content[name] = np.concatenate([getattr(body, name) for body in bodies])
+    content["drawn"] = np.array(json.dumps(drawn))
+    content["flights"] = np.array([len(body.turns) for body in bodies])
+    content["falls"] = np.array([len(shape) for shape in shapes])
+    for name in ("corners", "tets"):
+        content[name] = np.concatenate([getattr(shape, name) for shape in first])
+        content[f"{name}_count"] = np.array([len(getattr(shape, name)) for shape in first])
+    part = path.with_suffix(".part")
+    with part.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **content)
+    os.replace(part, path)
+
+
+def load_bodies(path: Path) -> list[FallingBody]:
+    """Read a file of `save_bodies`."""
+    with np.load(path, allow_pickle=False) as file:
+        content = {name: file[name] for name in file.files}
+    corners, tets = (np.split(content[name], np.cumsum(content[f"{name}_count"])[:-1]) for name in ("corners", "tets"))
+    turns, centres = (np.split(content[name], np.cumsum(content["flights"])[:-1]) for name in ("turns", "centres"))
+    shape = np.repeat(np.arange(len(content["falls"])), content["falls"])
+    return [
+        FallingBody(
+            corners=corners[shape[k]],
+            tets=tets[shape[k]],
+            place=content["place"][k],
+            velocity=content["velocity"][k],
+            spin=content["spin"][k],
+            turns=turns[k],
+            centres=centres[k],
+            **{name: float(content[name][k]) for name in _NUMBERS},
+        )
+        for k in range(len(shape))
+    ]

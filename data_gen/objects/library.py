@@ -13,6 +13,7 @@ from data_gen.objects.implicit import Field, sampled, surface
 from data_gen.objects.limbs import caterpillar, humanoid, octopus, quadruped, starfish
 from data_gen.objects.profiles import extruded, letter, revolved, ring
 from data_gen.objects.solids import blob, boolean, superquadric, supertoroid
+from data_gen.surface import DrawnSurface
 from physconvex import ConvergenceError, InputError
 
 # Family -> shapes in it, each with equal probability.
@@ -67,6 +68,14 @@ class ObjectMesh:
     def size(self) -> float:
         """Largest edge of the bounding box [m]."""
         return float(np.ptp(self.vertices, axis=0).max())
+
+    def drawn(self) -> DrawnSurface:
+        """Its surface as it is drawn.
+
+        Raises:
+            InputError: it has neither colours nor a texture with coordinates.
+        """
+        return DrawnSurface(self.vertices, self.faces, colors=self.vertex_colors, uv=self.uv, texture=self.texture)
 
     def scaled(self, size: float) -> ObjectMesh:
         """The same object, centred at the origin, with the largest edge of its bounding box equal to `size` [m].

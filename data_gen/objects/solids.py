@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
 from data_gen.objects.implicit import (
     Field,
@@ -23,6 +24,12 @@ def random_rotation(rng: np.random.Generator) -> np.ndarray:
     q, r = np.linalg.qr(rng.normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))
     return q if np.linalg.det(q) > 0 else -q
+
+
+def random_direction(rng: np.random.Generator, size: int = 3) -> Float[np.ndarray, " D"]:
+    """A unit vector, uniform over all directions."""
+    vector = rng.normal(size=size)
+    return vector / np.linalg.norm(vector)
 
 
 def superquadric(rng: np.random.Generator) -> Field:
@@ -78,8 +85,7 @@ def blob(rng: np.random.Generator) -> Field:
     for _ in range(rng.integers(3, 8)):
         radius = rng.uniform(0.25, 0.5)
         fields.append(ellipsoid(centre.copy(), radius * rng.uniform(0.8, 1.25, 3)))
-        direction = rng.normal(size=3)
-        centre = centre + direction / np.linalg.norm(direction) * radius * rng.uniform(0.8, 1.3)
+        centre = centre + random_direction(rng) * radius * rng.uniform(0.8, 1.3)
     body = smooth_union(fields, rng.uniform(0.15, 0.4))
     waves, phases = rng.normal(0, 3.0, (3, 3)), rng.uniform(0, 2 * np.pi, 3)
     height = rng.uniform(0.0, 0.02)
@@ -105,8 +111,7 @@ def boolean(rng: np.random.Generator) -> Field:
     """A primitive with one to three others added, cut away or intersected, edges rounded."""
     field = primitive(rng, 1.0)
     for _ in range(rng.integers(1, 4)):
-        direction = rng.normal(size=3)
-        shift = direction / np.linalg.norm(direction) * rng.uniform(0.5, 0.9)
+        shift = random_direction(rng) * rng.uniform(0.5, 0.9)
         operation = rng.choice(["add", "cut", "common"], p=[0.45, 0.45, 0.1])
         if operation == "add":
             field = smooth_union([field, moved(primitive(rng, rng.uniform(0.45, 0.8)), shift=shift)], 0.12)

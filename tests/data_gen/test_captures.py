@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import data_gen.generate
 from data_gen import RingOptions, capture_folder, generate_captures, load_config
 from data_gen.captures import CaptureTask, make_capture
 from data_gen.commands import app
@@ -27,15 +26,14 @@ OPTIONS = RingOptions(markers=5, marker_noise=1e-4)
 
 @pytest.fixture(scope="module")
 def success() -> SuccessfulDrop:
-    return simulate_with_replacements(CONFIG, 3, 0).success
+    return simulate_with_replacements(CONFIG, 3, 0)[0]
 
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory, success):
     root = tmp_path_factory.mktemp("captures")
     patch = pytest.MonkeyPatch()
-    result = data_gen.generate.Attempts(success, ())
-    patch.setattr("data_gen.captures.simulate_with_replacements", lambda *_: result)
+    patch.setattr("data_gen.captures.simulate_with_replacements", lambda *_: (success, ()))
     for folder in (root / "one", root / "two"):
         make_capture(CaptureTask(folder, CONFIG, 3, 0, OPTIONS))
     patch.undo()

@@ -9,11 +9,11 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from models import GREY, MOMENT_NAMES, mirrored_moments
+from models import GREY, mirrored_moments
+from train.augment import COLUMN
 from train.config import AugmentConfig
 from train.motion_states import MIRROR
 
-_COLUMN = {name: k for k, name in enumerate(MOMENT_NAMES)}
 _GREY_WEIGHTS = (0.2989, 0.587, 0.114)
 
 
@@ -34,8 +34,8 @@ def augment_at_once(shown: Shown, config: AugmentConfig, generator: torch.Genera
     shown = _in_time(shown, config, generator)
     shown = _flipped(shown, _draw(generator, shown) < config.flip_share)
     noise = config.moment_noise * torch.randn(shown.moments.shape, generator=generator, device=shown.moments.device)
-    noise[..., _COLUMN["sxx"] : _COLUMN["syy"] + 1] *= 0.2
-    noise[..., _COLUMN["touches_border"]] = 0
+    noise[..., COLUMN["sxx"] : COLUMN["syy"] + 1] *= 0.2
+    noise[..., COLUMN["touches_border"]] = 0
     moments = shown.moments + noise * _draw(generator, shown)[:, None, None]
     windows = _colours(_geometry(shown.windows, config, generator), config, generator)
     return replace(shown, moments=moments, windows=windows)
@@ -72,12 +72,12 @@ def _taken(values: Tensor, index: Int[Tensor, "B T"]) -> Tensor:
 
 def _referred_moments(moments: Float[Tensor, "B T M"]) -> Float[Tensor, "B T M"]:
     """As `train.augment` refers them to the first frames."""
-    left, right, bottom, top = (moments[:, :3, _COLUMN[name]] for name in ("left", "right", "bottom", "top"))
+    left, right, bottom, top = (moments[:, :3, COLUMN[name]] for name in ("left", "right", "bottom", "top"))
     unit = torch.maximum(right - left, top - bottom).median(dim=1).values.clamp(min=0.05)[:, None, None]
-    x, y = (moments[:, :1, _COLUMN[name], None] for name in ("centroid_x", "centroid_y"))
+    x, y = (moments[:, :1, COLUMN[name], None] for name in ("centroid_x", "centroid_y"))
     zero = torch.zeros_like(x)
     origin = torch.cat([x, y, x, x, y, y, zero, zero, zero, zero, zero], dim=2)
-    lengths = _COLUMN["sxx"]
+    lengths = COLUMN["sxx"]
     result = moments - origin
     return torch.cat([result[..., :lengths] / unit, result[..., lengths:10] / unit**2, result[..., 10:]], dim=2)
 

@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 from data_gen import draw_falls, generate_falls, load_config, read_falls
 from data_gen.commands import app
-from data_gen.explicit.store import load_bodies, save_bodies
+from data_gen.explicit.generate import load_bodies, save_bodies
 from physconvex import ConvergenceError, InputError
 
 CONFIG = load_config("training", overrides=["objects.simulations_per_object=2"])

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from data_gen import BankOptions, Shares, generate_bank, same_class
 from data_gen.blind import bank, explicit_cases
 from data_gen.blind.cases import draw_case
-from data_gen.blind.classes import class_of
+from data_gen.blind.controls import class_of
 from data_gen.blind.engine import run_explicit
 from data_gen.blind.explicit_cases import _seen_effect
 from data_gen.blind.plan import plan_bank

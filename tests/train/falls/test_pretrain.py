@@ -11,7 +11,7 @@ import yaml
 from typer.testing import CliRunner
 
 import train.commands
-from data_gen.explicit.store import save_bodies
+from data_gen.explicit.generate import save_bodies
 from models import PhysicsNetwork, PhysicsPredictor
 from physconvex import InputError
 from train import Pretraining, RealClips, TrainingClips, prepare_clips, pretrain, read_clips, train_on_falls
