@@ -1,6 +1,6 @@
-"""Configuration of the generator: every range it draws from, readable from YAML.
+"""Configuration of the generator: all ranges that it samples, in a class that YAML files fill.
 
-Units are SI; names that end in `_deg` are degrees. A range is written as a number (fixed), `[low, high]`
+Units are SI; names that end in `_deg` are in degrees. A range is written as a number (fixed), `[low, high]`
 (uniform), or `{low: …, high: …, scale: log}` (log-uniform).
 """
 
@@ -62,10 +62,10 @@ def log_uniform(low: float, high: float) -> Interval:
 
 
 class ObjectSource(FrozenConfig):
-    """What is dropped.
+    """Objects that fall.
 
-    `folder` replaces the procedural bodies by the meshes below it. `shares` of train, validation and test
-    objects are drawn by a hash of the object, so that no object is in two of them.
+    The meshes in `folder` replace the procedural bodies. A hash of the name assigns each object to training,
+    validation or test; the rest of the two shares is test.
     """
 
     folder: str | None = None
@@ -75,7 +75,7 @@ class ObjectSource(FrozenConfig):
 
 
 class MotionConfig(FrozenConfig):
-    """How it is dropped: size [m], height of the lowest point over the floor in sizes, speed [m/s], spin [rad/s]."""
+    """Initial motion: size [m], height of the lowest point above the floor in sizes, speed [m/s], spin [rad/s]."""
 
     size: Range = log_uniform(0.5, 1.5)
     orientation: Literal["random", "upright", "given"] = "random"
@@ -87,7 +87,7 @@ class MotionConfig(FrozenConfig):
 
 
 class MaterialRanges(FrozenConfig):
-    """What it is made of: E [Pa], ν, density [kg/m³], time constant of Kelvin–Voigt damping [s]."""
+    """Material: law, E [Pa], ν, density [kg/m³], time constant of Kelvin–Voigt damping [s]."""
 
     law: str = "neo_hookean"
     youngs_modulus: Range = log_uniform(1e4, 1e7)
@@ -106,10 +106,16 @@ class MaterialRanges(FrozenConfig):
 
 
 class SolverConfig(FrozenConfig):
-    """Discretisation: most nodes of the quadratic mesh, most nodes added where the body lands, time steps per video
-    frame, the same at most while it flies before it lands, what touches the floor (the mesh's nodes, or points all over
-    the shown surface that the mesh carries), how contact is solved for (`physconvex.dynamics.simulate`), most friction
-    passes per step if by passes, Newton's last step relative to the body's size, tries before giving up."""
+    """Discretisation of the simulation.
+
+    Attributes:
+        target_nodes: most nodes of the quadratic mesh; `landing_nodes`: most nodes added where the body lands.
+        steps_per_frame: time steps per video frame; `flight_steps_per_frame`: most steps before the landing.
+        touching: contact points: the nodes of the mesh, or points all over the visible surface that move with it.
+        contact_solver: see `physconvex.dynamics.Timing`; `friction_passes`: most passes per step, for `passes`.
+        tolerance: last step of Newton's method relative to the size of the body.
+        max_attempts: draws before a simulation is given up.
+    """
 
     target_nodes: int = Field(default=1000, ge=20)
     landing_nodes: int = Field(default=400, ge=0)
@@ -123,7 +129,7 @@ class SolverConfig(FrozenConfig):
 
 
 class VideoConfig(FrozenConfig):
-    """Frames, rate [1/s], image size [pixels] (even, as H.264 wants), super-sampling factor per axis, x264 quality."""
+    """Number of frames, rate [1/s], image size [pixels] (even, for H.264), samples per pixel and axis, x264 quality."""
 
     frames: int = Field(default=24, ge=2)
     fps: float = Field(default=24.0, gt=0)
@@ -134,7 +140,7 @@ class VideoConfig(FrozenConfig):
 
 
 class CameraConfig(FrozenConfig):
-    """Where the camera stands. Azimuth 0 looks along +y; `margin` is free space around the expected path."""
+    """Position of the camera. Azimuth 0 looks along +y; `margin` is the free space around the expected path."""
 
     views: int = Field(default=3, ge=1)
     azimuth_deg: Range = uniform(-180.0, 180.0)
@@ -145,7 +151,7 @@ class CameraConfig(FrozenConfig):
 
 
 class AppearanceConfig(FrozenConfig):
-    """Light, floor and background. Intensities are factors on the texture colour."""
+    """Light, floor and background. Intensities are factors of the texture colour."""
 
     key_azimuth_deg: Range = uniform(-75.0, 75.0)
     key_elevation_deg: Range = uniform(35.0, 80.0)
@@ -160,7 +166,7 @@ class AppearanceConfig(FrozenConfig):
 
 
 class DegradationConfig(FrozenConfig):
-    """What real clips suffer; each is applied to the given share of the views."""
+    """Degradations of real clips; each applies to its share of the views."""
 
     noise_share: Share = 0.5
     noise: Range = log_uniform(0.003, 0.03)
@@ -178,7 +184,7 @@ class DegradationConfig(FrozenConfig):
 
 
 class SampleConfig(FrozenConfig):
-    """Interior points and skinning eigenmodes stored with each simulation."""
+    """Number of interior points and skinning eigenmodes that are stored with each simulation."""
 
     points: int = Field(default=384, ge=4)
     modes: int = Field(default=16, ge=1)

@@ -214,8 +214,8 @@ def command_line_page() -> str:
     lines = [
         "# Command line",
         "",
-        "`physconvex COMMAND --help` shows the same. Exit code 0: everything is done. 1: some inputs fail, each is",
-        "named, the rest is done. 2: wrong usage or unusable input.",
+        "`physconvex COMMAND --help` shows the same. Exit code 0: all is done. 1: some inputs fail; each is named, and",
+        "the others are done. 2: wrong usage or unusable input.",
         "",
     ]
     for name, point in cli._commands().items():
@@ -262,4 +262,4 @@ def _default(option: Any) -> str:
     if value is None or callable(value) or value in ((), []):
         return "required" if option.required else ""
     value = getattr(value, "value", value)
-    return "`" + (" ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)) + "`"
+    return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)

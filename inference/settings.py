@@ -79,7 +79,7 @@ class ReconstructOptions(Options):
     settings: Annotated[tuple[str, ...], CommandLine("--set")] = ()
     """Change a setting, such as budget=12000 or point_rate=0.1; repeatable."""
     start: str | None = None
-    """mesh, hull, points or auto (the first there is)."""
+    """Source of the first convexes: mesh, hull, points, or auto (mesh, else points, else hull)."""
     points: Path | None = None
     """File whose vertices are the points for --start points [m]."""
     budget: int | None = None

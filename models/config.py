@@ -28,11 +28,11 @@ class EncoderConfig(FrozenConfig):
     mask_channel: bool = True
     dropout: float = Field(default=0.0, ge=0, lt=1)
     train_keep: float = Field(default=0.6, gt=0, le=1)
-    """Share of the tokens kept in training; those that show the object go first, at random."""
+    """Share of the tokens that is kept in training; tokens with the object come first, in random order."""
     eval_keep: float = Field(default=1.0, gt=0, le=1)
-    """Share of the tokens kept otherwise; the emptiest are left out."""
+    """Share of the tokens that is kept in evaluation; tokens without the object are dropped first."""
     position_grid: tuple[int, int, int] | None = None
-    """Grid (time, rows, columns) of the pretrained position table; None: a separable table of our own."""
+    """Grid (time, rows, columns) of the pretrained position table; None: a separable table."""
 
     @classmethod
     def of_size(cls, size: EncoderSize, **options: object) -> EncoderConfig:
@@ -68,15 +68,15 @@ class EncoderConfig(FrozenConfig):
 
 
 class KinematicsConfig(FrozenConfig):
-    """What is seen in each frame -> its state (`models.motion`) -> what the motion says of the material."""
+    """From the features of each frame to the states of the motion (`models.motion`), and from these to the material."""
 
     channels: int = Field(default=128, ge=8)
     blocks: int = Field(default=4, ge=1)
-    """From features to states."""
+    """Blocks from features to states."""
     material_blocks: int = Field(default=4, ge=1)
-    """From states to the embedding."""
+    """Blocks from states to the embedding."""
     frame_widths: tuple[int, ...] = (48, 64, 64)
-    """Channels of the convolutions over single frames, multiples of 8."""
+    """Channels of the convolutions over single frames; multiples of 8."""
     dropout: float = Field(default=0.1, ge=0, lt=1)
     drop_path: float = Field(default=0.1, ge=0, lt=1)
 
@@ -110,17 +110,17 @@ class NetworkConfig(FrozenConfig):
     encoder: EncoderConfig = EncoderConfig()
     kinematics: KinematicsConfig = KinematicsConfig()
     stiffness: BinConfig = BinConfig(low=-1.0, high=4.5, bins=110)
-    """Of log10(E / (ρ g L))."""
+    """Bins of log10(E / (ρ g L))."""
     poisson: BinConfig = BinConfig(low=0.0, high=0.5, bins=50)
     skinning: SkinningConfig = SkinningConfig()
     latent_size: int = Field(default=192, ge=8)
     dropout: float = Field(default=0.1, ge=0, lt=1)
     video_dropout: float = Field(default=0.2, ge=0, lt=1)
-    """How often training hides what the encoder says, so that the other branches must speak too."""
+    """Probability in training of hiding the output of the encoder, so that the other branches are trained too."""
     feature_dropout: float = Field(default=0.3, ge=0, lt=1)
-    """How often training has the material read from the states alone."""
+    """Probability in training of estimating the material from the states alone."""
     given_states: float = Field(default=0.3, ge=0, lt=1)
-    """How often training reads it from the true states, with noise."""
+    """Probability in training of estimating it from the true states, with noise."""
 
     @model_validator(mode="after")
     def check(self) -> NetworkConfig:

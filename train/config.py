@@ -1,4 +1,4 @@
-"""Everything a training run depends on, besides its data: frozen, readable from YAML, stored with the run."""
+"""Configuration of a training run: frozen, readable from YAML, stored with the run."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from physconvex.io import FrozenConfig, read_tree, validated
 
 
 class AugmentConfig(FrozenConfig):
-    """Changes that leave E/(ρ g L) and ν what they are. Shares are probabilities per clip."""
+    """Augmentations that do not change E/(ρ g L) and ν. Shares are probabilities per clip."""
 
     flip_share: float = Field(default=0.5, ge=0, le=1)
     latest_start: int = Field(default=3, ge=0)
-    """Up to this many first frames are dropped."""
+    """Largest number of first frames that are dropped."""
     stride_share: float = Field(default=0.15, ge=0, le=1)
-    """Every other frame is shown, at twice the interval."""
+    """Probability of taking every other frame, at twice the interval."""
     shorten_share: float = Field(default=0.2, ge=0, le=1)
-    """The last frames are dropped, down to two thirds."""
+    """Probability of dropping last frames; at least two thirds remain."""
     zoom: float = Field(default=0.05, ge=0, lt=0.5)
     shift: float = Field(default=0.03, ge=0, lt=0.5)
-    """Of the windows, as a share of their edge."""
+    """Largest shift of the windows, relative to their edge."""
     colour: float = Field(default=0.3, ge=0, lt=1)
-    """Brightness, contrast and saturation change by up to this factor."""
+    """Largest relative change of brightness, contrast and saturation."""
     grey_share: float = Field(default=0.1, ge=0, le=1)
     mask_share: float = Field(default=0.2, ge=0, le=1)
-    """Masks grown or shrunk by a pixel."""
+    """Probability of dilating or eroding the masks by a pixel."""
     moment_noise: float = Field(default=0.002, ge=0)
     """Standard deviation of the noise on the moments, in body sizes."""
     true_moments_share: float = Field(default=0.3, ge=0, le=1)
-    """Moments of the true mask in place of those of the mask found."""
+    """Probability of using the moments of the true mask instead of the found mask."""
 
 
 class LossConfig(FrozenConfig):
-    """Weights of the terms."""
+    """Weights of the terms of the loss."""
 
     nll: float = Field(default=1.0, ge=0)
     crps: float = Field(default=1.0, ge=0)
-    """Of the CRPS in units of the constant predictor's."""
+    """Weight of the CRPS relative to that of the constant predictor."""
     poisson: float = Field(default=1.0, ge=0)
-    """Of all terms of ν against those of the stiffness."""
+    """Weight of all terms of ν relative to those of the stiffness."""
     states: float = Field(default=2.0, ge=0)
-    """Of the states of the motion, frame by frame."""
+    """Weight of the states of the motion in each frame."""
     span: float = Field(default=0.3, ge=0)
     captured: float = Field(default=0.3, ge=0)
     smoothing: float = Field(default=1.0, ge=0)
@@ -54,37 +54,37 @@ class LossConfig(FrozenConfig):
 
 
 class TrainConfig(FrozenConfig):
-    """One run."""
+    """Settings of one training run."""
 
     network: NetworkConfig = NetworkConfig()
     pretrained: str | None = None
     """Public VideoMAE weights, by folder or name; None trains from scratch."""
     checkpoint: str | None = None
-    """A checkpoint of this network to go on from, by folder or name; its clips should not be held out here."""
+    """Checkpoint of this network to start from, by folder or name; its training clips should not be held out here."""
     margin: float = Field(default=0.1, ge=0)
-    """Of the square around the object's path (`models.clip.ClipConfig`)."""
+    """Margin of the square around the path of the object (`models.clip.ClipConfig`)."""
     extent: float = Field(default=1.7, gt=0)
-    """Of the windows that follow the object."""
+    """Extent of the windows that follow the object, in sizes of the object."""
     seed: int = Field(default=0, ge=0)
     epochs: int = Field(default=30, ge=1)
     batch_size: int = Field(default=32, ge=1)
-    """Over all processes."""
+    """Clips per step, over all processes."""
     optimizer: str = "adamw"
     learning_rate: float = Field(default=1e-3, gt=0)
     weight_decay: float = Field(default=0.05, ge=0)
     warmup_share: float = Field(default=0.05, ge=0, lt=1)
     final_share: float = Field(default=0.01, ge=0, le=1)
-    """Of the learning rate, at the end."""
+    """Final learning rate relative to the first."""
     gradient_clip: float = Field(default=1.0, gt=0)
     ema_decay: float = Field(default=0.998, ge=0, lt=1)
     mixed_precision: Literal["no", "bf16"] = "no"
     true_mask_share: float = Field(default=0.2, ge=0, le=1)
-    """Training clips shown with the true mask in place of the one found."""
+    """Share of training clips with the true mask instead of the found one."""
     checkpoint_seconds: float = Field(default=120.0, ge=0)
     validate_every: int = Field(default=1, ge=1)
     """Epochs between validations."""
     workers: int = Field(default=1, ge=0)
-    """Processes that augment; 0 does so in the training process."""
+    """Processes that augment clips; 0: the training process does it."""
     augment: AugmentConfig = AugmentConfig()
     loss: LossConfig = LossConfig()
 

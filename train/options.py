@@ -1,4 +1,4 @@
-"""What the commands that train and the evaluations of a checkpoint are asked for."""
+"""Options of the commands that train and evaluate a checkpoint."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ Shown = Literal["train", "validation", "test", "all"]
 
 
 class TrainOptions(Options):
-    """A training of the predictor on data sets."""
+    """Settings of a training of the predictor on data sets."""
 
     config: str | None = None
     """YAML file or preset (`default`)."""
     epochs: int | None = None
-    """Epochs."""
+    """Passes over the training clips."""
     seed: int | None = None
     """Seed of everything random."""
     checkpoint: str | None = None
@@ -27,7 +27,7 @@ class TrainOptions(Options):
     device: str = "auto"
     """`auto` (an accelerator if there is one) or `cpu`."""
     resume: bool = True
-    """Go on with the run in --out."""
+    """Continue the run in --out."""
     minutes: float | None = None
     """Stop after this time [min]; the learning-rate schedule fits it."""
     cache: Path | None = None
@@ -44,10 +44,10 @@ class TrainOptions(Options):
 
 
 class FinderOptions(Options):
-    """A training of one of the finder's networks; what is None is as in its recipe."""
+    """Settings of a training of one network of the finder; None takes the default of its recipe."""
 
     steps: Annotated[int | None, Field(ge=1), CommandLine(bounded=True)] = None
-    """Optimiser steps."""
+    """Steps of the optimiser."""
     seed: Annotated[int, Field(ge=0), CommandLine(bounded=True)] = 0
     """Seed of everything random."""
     threads: Annotated[int | None, Field(ge=1), CommandLine(bounded=True)] = None
@@ -55,7 +55,7 @@ class FinderOptions(Options):
 
 
 class OutlineOptions(FinderOptions):
-    """A training of the outline network."""
+    """Settings of a training of the outline network."""
 
     thinning: Annotated[int, Field(ge=1), CommandLine(bounded=True)] = 1
     """Use every N-th training clip."""
@@ -99,7 +99,7 @@ class EvaluationOptions(Options):
 
 
 class PaperOptions(Options):
-    """Sizes of an evaluation on the benchmark."""
+    """Settings of an evaluation on the benchmark."""
 
     max_nodes: int = 500
     """Most nodes of the quadratic meshes of the models."""

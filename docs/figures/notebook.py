@@ -23,19 +23,22 @@ ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOK = ROOT / "examples" / "first_steps.ipynb"
 CELLS = (
     (
-        "# First steps\n\nA clip is predicted, a capture is refined, and both are looked at. The cells are those of "
-        "the tutorials.\n\n## Predict from a clip",
+        "# First steps\n\nThis notebook predicts one clip and refines one capture. Its code is that of the tutorials."
+        "\n\n## Predict from a clip",
         ("predict", 0),
     ),
-    ("A result shows itself:", ("predict", 1)),
+    ("A notebook displays a result as a table and a picture:", ("predict", 1)),
     ("The truth of this clip is known:", ("predict", 2)),
     (
-        "## Refine a capture\n\nA silicone beam, clamped at one end, is let go under its own weight. The reduced model "
-        "alone takes about half a minute.",
+        "## Refine a capture\n\nA silicone beam, clamped at one end, is released under its own weight. The reduced "
+        "model alone takes about half a minute.",
         ("refine", 0),
     ),
-    ("The refinement in short:", ("refine", 1)),
-    ("Dots are recorded, the line is the model. Frames to the right of the dotted line are not fitted.", ("refine", 2)),
+    ("The same for a refinement:", ("refine", 1)),
+    (
+        "Dots are the recording, the line is the model. Frames to the right of the dotted line are not fitted.",
+        ("refine", 2),
+    ),
 )
 
 

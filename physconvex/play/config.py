@@ -1,6 +1,6 @@
-"""What `physconvex simulate` plays: object, material, forces, floor, basis and time, readable from YAML.
+"""Configuration of `physconvex simulate`: object, material, forces, floor, basis and time, readable from YAML.
 
-Units are SI; names that end in `_deg` are degrees.
+Units are SI; names that end in `_deg` are in degrees.
 """
 
 from __future__ import annotations
@@ -23,9 +23,15 @@ _EXAMPLE = "material.youngs_modulus=1.0e5"
 
 
 class StartConfig(FrozenConfig):
-    """How the object starts: size (largest edge [m], that of the file if null), orientation (turns about x, then y,
-    then z), horizontal position of its middle [m], height of its lowest point over the floor or over the object before
-    it [m], velocity [m/s], spin [rad/s]."""
+    """Initial state of the object.
+
+    Attributes:
+        size: longest edge [m]; null: that of the file.
+        orientation_deg: rotations about x, then y, then z.
+        position: horizontal position of its centre [m].
+        drop_height: height of its lowest point above the floor, or above the previous object [m].
+        velocity, angular_velocity: [m/s], [rad/s].
+    """
 
     size: Positive | None = None
     orientation_deg: Vector = (0.0, 0.0, 0.0)
@@ -36,12 +42,11 @@ class StartConfig(FrozenConfig):
 
 
 class BodyMaterialConfig(FrozenConfig):
-    """What it is made of.
+    """Material: E [Pa], ν, density [kg/m³], Kelvin–Voigt time [s], and the constants of its kind.
 
-    `kind` says what is needed besides E [Pa], ν, density [kg/m³] and the Kelvin–Voigt time [s]: plasticine a
-    `yield_stress` [Pa], sand a `friction_angle_deg`, a viscoelastic body (standard linear solid) a `modulus_ratio` and
-    a `relaxation_time` [s]. An elastic or viscoelastic body may have fibres (`fibre_direction` in the turned object,
-    `fibre_ratio` of their modulus to μ) and stiffen with strain (`stiffening`).
+    Plasticine needs a `yield_stress` [Pa], sand a `friction_angle_deg`, a viscoelastic body (standard linear solid) a
+    `modulus_ratio` and a `relaxation_time` [s]. An elastic or viscoelastic body may have fibres (`fibre_direction` in
+    the rotated object, `fibre_ratio` of their modulus to μ) and stiffen with strain (`stiffening`).
     """
 
     kind: Literal["elastic", "plasticine", "sand", "viscoelastic"] = "elastic"
@@ -76,8 +81,8 @@ class BodyMaterialConfig(FrozenConfig):
 
 
 class FloorConfig(FrozenConfig):
-    """The plane z = 0: friction coefficient, velocity [m/s], and the period [s] with which the velocity swings as a
-    sine (null: it is constant)."""
+    """The plane z = 0: friction coefficient, velocity [m/s], and the period [s] of a sinusoidal velocity (null: the
+    velocity is constant)."""
 
     friction: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.5
     velocity: Vector = (0.0, 0.0, 0.0)
@@ -91,7 +96,7 @@ class ContactConfig(FrozenConfig):
 
 
 class ForceConfig(FrozenConfig):
-    """Gravity [m/s²], a steady push (acceleration [m/s²]), wind [m/s] (null: no air at all), drag coefficient."""
+    """Gravity [m/s²], a constant push (acceleration [m/s²]), wind [m/s] (null: no air), drag coefficient."""
 
     gravity: Vector = (0.0, 0.0, -9.81)
     push: Vector = (0.0, 0.0, 0.0)
@@ -100,9 +105,15 @@ class ForceConfig(FrozenConfig):
 
 
 class BasisConfig(FrozenConfig):
-    """Skinning weights: their kind and number M, seed of the neural field; most nodes of the background mesh, its
-    mesher, and most vertices of the surface that touch the floor. `elastic`: vibrations and answers to forces where the
-    object touches the floor, found by two roll-outs before; the most exact, with thirty to sixty weights."""
+    """Skinning weights of the reduced model.
+
+    Attributes:
+        kind: `elastic` weights come from vibrations and responses to contact forces, which two simulations locate; with
+            thirty to sixty of them the error is smallest.
+        modes: number M of weights; `seed`: of the neural field.
+        max_nodes: most nodes of the background mesh; `mesher`: its method.
+        contact_points: most vertices of the surface that can touch the floor.
+    """
 
     kind: Literal["eigenmodes", "elastic", "neural"] = "eigenmodes"
     modes: int = Field(default=10, ge=1, le=64)
@@ -113,8 +124,8 @@ class BasisConfig(FrozenConfig):
 
 
 class TimeConfig(FrozenConfig):
-    """Frames, rate [1/s], time steps per frame, most friction passes per step, Newton's last step over the size, gain
-    of energy from which a step is cut in two (`physconvex.dynamics.simulate`)."""
+    """Number of frames, rate [1/s], time steps per frame, most friction passes per step, last Newton step relative to
+    the size, gain of energy above which a step is halved (`physconvex.dynamics.Timing`)."""
 
     frames: int = Field(default=24, ge=1)
     fps: Positive = 24.0
@@ -125,7 +136,7 @@ class TimeConfig(FrozenConfig):
 
 
 class PlayConfig(FrozenConfig):
-    """Everything that `physconvex simulate` needs beside the mesh."""
+    """All settings of `physconvex simulate`."""
 
     object: StartConfig = StartConfig()
     material: BodyMaterialConfig = BodyMaterialConfig()

@@ -1,4 +1,4 @@
-"""What a reconstruction is to do, readable from YAML."""
+"""Configuration of a reconstruction, readable from YAML."""
 
 from __future__ import annotations
 
@@ -19,27 +19,26 @@ _EXAMPLE = "budget=12000"
 
 
 class ReconstructionConfig(BaseModel):
-    """Lengths are in footprints: what one pixel of the full image covers at the object.
+    """Settings of a reconstruction. Lengths are in footprints, the size of one pixel of the full image at the object.
 
     Attributes:
-        start: what the first convexes come from: the capture's mesh, the visual hull of the masks, points; `auto` takes
-            the mesh if there is one, else points if given, else the hull.
+        start: source of the first convexes: the mesh of the capture, the visual hull of the masks, or points. `auto`
+            takes the mesh if there is one, else points if given, else the hull.
         budget: most convexes.
-        points_per_convex: K, 4 to 9; below six nothing is added to close gaps after the fit.
+        points_per_convex: K, 4 to 9; below six, gaps are not filled after the fit.
         start_share: share of the budget that covers the surface at the start; refinement adds the rest.
         filler_share: share of the budget that may fill the inside.
-        gap_share: share of the budget that is kept to close, after the fit, what is in no hull; the others are of the
-            rest.
+        gap_share: share of the budget that is reserved to fill gaps after the fit; the other shares refer to the rest.
         steps: steps of the optimiser, one view each.
-        levels, level_shares: coarse to fine: scales of the image, and the share of the steps spent at each.
+        levels, level_shares: scales of the image from coarse to fine, and the share of the steps at each.
         refinements: how often convexes are split, cloned and pruned, evenly over the first `refine_until` of the steps.
         dissimilarity: λ of (1 − λ) L1 + λ (1 − SSIM)/2.
         mask_weight: weight of the mean difference of alpha and mask.
-        edge_width: of the soft edges at the start.
-        point_rate: greatest step of a coordinate; falls to `final_rate` times this, as do the other rates.
-        edge_rate: of log α and log β; opacity_rate: of the logit; colour_rate: of the first harmonic; the others get
-            `view_rate` times this, and are pulled to zero by `view_decay` per step.
-        seed: of the order of the views and of what is sampled.
+        edge_width: initial width of the soft edges.
+        point_rate: largest step of a coordinate; all rates fall to `final_rate` times their value.
+        edge_rate: step of log α and log β; opacity_rate: of the logit; colour_rate: of the first harmonic. The other
+            harmonics get `view_rate` times this, and decay by `view_decay` per step.
+        seed: of the order of the views and of all samples.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
