@@ -36,15 +36,15 @@ def screening(rng):
         entry("restitution", 0.8 * second + third, left),
     ]
     ranked = tuple(sorted(entries, key=lambda e: -e.score.statistic))
-    return Screening(ranked, (), float(left @ left), 57, left)
+    return Screening(ranked, (), left)
 
 
 def test_a_pair_that_helps_only_together_comes_first(screening):
     pair = best_pairs(screening, 1)[0]
     assert {pair.first.effect.name, pair.second.effect.name} == {"damping", "friction"}
-    assert pair.statistic == pytest.approx(screening.lack_of_fit, rel=1e-6)
-    alone = max(one.score.statistic for one in (pair.first, pair.second))
-    assert pair.statistic - alone > 0.3 * screening.lack_of_fit
+    lack_of_fit = screening.left @ screening.left
+    assert pair.statistic == pytest.approx(lack_of_fit, rel=1e-6)
+    assert pair.statistic - max(one.score.statistic for one in (pair.first, pair.second)) > 0.3 * lack_of_fit
     doses = {p.effect.name: p.doses[0] for p in (pair.first, pair.second)}
     assert doses["friction"] == pytest.approx(0.1 * 10 / 1.3, rel=1e-4)
 
@@ -58,7 +58,7 @@ def test_what_is_somewhere_in_a_struck_body_is_fitted_from_several_places(droppe
     """From the one place that screened best, a stiff core (2301/034) stopped behind an air drag that does nothing."""
     known = [e for e in DEFAULT_EFFECTS if e.name in ("heterogeneity", "friction")]
     ranked = tuple(entry(one, rng.normal(size=60), np.ones(60)) for one in known)
-    screening, tried = Screening(ranked, (), 60.0, 57, np.ones(60)), [ranked[0], ranked[-1]]
+    screening, tried = Screening(ranked, (), np.ones(60)), [ranked[0], ranked[-1]]
     places = other_places(screening, tried)
     assert len(places) == 4 and not any(place in tried for place in places)
     assert all(place.effect.variant.startswith("inclusion") for place in places)

@@ -92,24 +92,18 @@ class EffectModel:
 
     def parameters(self, values: Vector) -> tuple[Parameter, ...]:
         """The unknowns, starting at `values`."""
-        out: list[Parameter] = [
-            self._weighed(default_parameter(name).at(float(value)), name)
-            for name, value in zip(self.base, values, strict=False)
-        ]
+        doubted = float(np.sqrt(self.doubt))
+        out = [default_parameter(name).at(float(value)) for name, value in zip(self.base, values, strict=False)]
+        if RATIO in self.base and self.situation.clamped:  # bending does not determine ν
+            index, (mean, sigma) = self.base.index(RATIO), BASE_FIT.held_poisson_ratio
+            out[index] = replace(out[index], prior_mean=mean, prior_sigma=sigma / doubted)
         for effect, where in zip(self.effects, self.slices, strict=True):
             for dose, value, name in zip(effect.doses, values[where], self.names[where], strict=True):
                 step = dose.step(self.situation)
                 start = float(np.clip(value, dose.lower, dose.upper))
-                sigma = dose.plausible / float(np.sqrt(self.doubt)) if self.situation.clamped else np.inf
+                sigma = dose.plausible / doubted if self.situation.clamped else np.inf
                 out.append(_DoseParameter(name, start, dose.lower, dose.upper, step, dose.null, sigma))
         return tuple(out)
-
-    def _weighed(self, parameter: Parameter, name: str) -> Parameter:
-        """Unknowns with a prior on the ν of a held body, which bending does not determine."""
-        if name != RATIO or not self.situation.clamped:
-            return parameter
-        mean, sigma = BASE_FIT.held_poisson_ratio
-        return replace(parameter, prior_mean=mean, prior_sigma=sigma / float(np.sqrt(self.doubt)))
 
     def null_values(self) -> Vector:
         """The twin's base parameters, and the doses at which the effects are absent."""

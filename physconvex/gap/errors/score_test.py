@@ -94,11 +94,6 @@ class Projector:
         whitened = self.errors.whiten(rows)
         return whitened - (whitened @ self._basis) @ self._basis.T
 
-    @property
-    def rank(self) -> int:
-        """Directions that are projected away."""
-        return self._basis.shape[1]
-
 
 @dataclass(frozen=True, eq=False)
 class Score:

@@ -54,20 +54,16 @@ class Screened:
 
 @dataclass(frozen=True, eq=False)
 class Screening:
-    """Ranked effects, failed effects, and the base model's lack of fit |P r|² with its degrees of freedom.
+    """Ranked effects, failed effects, and the residual.
 
     Attributes:
         ranked: screened effects, the most significant first.
         failed: labels of effects whose trial dose cannot be simulated.
-        lack_of_fit: square of the whitened, projected residual of the fitted frames.
-        freedom: number of residuals less nuisances.
-        left: whitened and projected residual, shape [N].
+        left: whitened and projected residual of the fitted frames, shape [N].
     """
 
     ranked: tuple[Screened, ...]
     failed: tuple[str, ...]
-    lack_of_fit: float
-    freedom: int
     left: Float[np.ndarray, " N"]
 
     @property
@@ -107,8 +103,7 @@ def screen(
         except (ConvergenceError, InputError, np.linalg.LinAlgError):
             failed.append(effect.label)
     ranked = sorted(entries, key=lambda entry: (entry.score.p_value, -entry.score.statistic))
-    left = projector.apply(residual)
-    return Screening(tuple(ranked), tuple(failed), float(left @ left), len(rows) - projector.rank, left)
+    return Screening(tuple(ranked), tuple(failed), projector.apply(residual))
 
 
 def _screened(

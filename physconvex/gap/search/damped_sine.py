@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.thresholds import EVIDENCE
@@ -34,18 +34,16 @@ def damped_sine_fit(signal: Float[np.ndarray, " T"], fps: float) -> tuple[tuple[
     times, total = np.arange(len(signal)) / fps, float(((signal - signal.mean()) ** 2).sum())
     if len(signal) < EVIDENCE.ringing_frames or total <= 0:
         return nothing, nothing
-    best = None
     span = times[-1]
-    for cycles in np.geomspace(0.4, 0.4 * len(signal), 14):  # starts; up to 0.8 of the Nyquist frequency
-        start = np.array([2 * np.pi * cycles / span, 0.5 / span, *np.linalg.lstsq(
-            np.stack([np.cos(2 * np.pi * cycles / span * times), np.sin(2 * np.pi * cycles / span * times),
-                      np.ones_like(times)], axis=1), signal, rcond=None)[0]])  # fmt: skip
-        found = least_squares(
-            lambda p: _damped(p, times) - signal, start, x_scale=np.maximum(np.abs(start), 1e-9), max_nfev=40
-        )
-        if best is None or found.cost < best.cost:
-            best = found
-    assert best is not None
+
+    def fitted(omega: float) -> OptimizeResult:
+        columns = np.stack([np.cos(omega * times), np.sin(omega * times), np.ones_like(times)], axis=1)
+        start = np.array([omega, 0.5 / span, *np.linalg.lstsq(columns, signal, rcond=None)[0]])
+        scale = np.maximum(np.abs(start), 1e-9)
+        return least_squares(lambda p: _damped(p, times) - signal, start, x_scale=scale, max_nfev=40)
+
+    cycles = np.geomspace(0.4, 0.4 * len(signal), 14)  # starts; up to 0.8 of the Nyquist frequency
+    best = min((fitted(2 * np.pi * count / span) for count in cycles), key=lambda found: found.cost)
     if 2 * best.cost > (1 - EVIDENCE.ringing_explained) * total or best.x[0] * span < np.pi / 2:
         return nothing, nothing
     omega, delta = abs(best.x[0]), best.x[1]
@@ -86,7 +84,7 @@ class Recorded:
 
 
 def _displacements(base: Baseline, positions: Float[np.ndarray, "T P 3"], points: np.ndarray, count: int) -> np.ndarray:
-    return deformation(positions[:count, points], base.motion.rest[points], held=True).reshape(count, -1)
+    return (positions[:count, points] - base.motion.rest[points]).reshape(count, -1)
 
 
 def recorded_ringing(base: Baseline) -> Recorded | None:

@@ -87,7 +87,7 @@ def plausible_pairs(screening: Screening, independent: float, *, held: bool) -> 
     pairs = best_pairs(screening, SCREENING.pairs_ranked)
 
     def worth(pair: Pair) -> float:
-        left = max(1.0 - pair.statistic / max(screening.lack_of_fit, 1e-300), 1e-3)
+        left = max(1.0 - pair.statistic / max(float(screening.left @ screening.left), 1e-300), 1e-3)
         both = (pair.first, pair.second)
         odd = sum(d.implausibility(v) for e in both for d, v in zip(e.effect.doses, e.doses, strict=True))
         return -0.5 * independent * float(np.log(left)) - odd

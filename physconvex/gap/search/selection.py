@@ -18,20 +18,9 @@ from physconvex.gap.errors.numerical_differences import Numerics, numerical_diff
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.errors.screening import Screening, screen
 from physconvex.gap.options import GapOptions
+from physconvex.gap.search import rounds
 from physconvex.gap.search.full_order import as_reduced, confirmed, decided
 from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis, continued, finalists, judged, weighed_anew
-from physconvex.gap.search.rounds import (
-    alone,
-    beside_in_first_frames,
-    from_elsewhere,
-    from_first_frames,
-    from_there,
-    leave_out,
-    load_beside,
-    one_more,
-    polish,
-    together,
-)
 from physconvex.gap.search.search_state import FAILURES, EffectSearch
 from physconvex.gap.search.starting_points import from_flight, loaded_starts
 from physconvex.gap.thresholds import CLOCK, DECISION, RUN_COST, SEARCH
@@ -105,28 +94,29 @@ def select_effects(
     search.found.append(base_hypothesis(cheap, errors))
     open_gap = search.found[0].fitted > SEARCH.closed or search.found[0].selecting > SEARCH.late
     if open_gap and near is not None and {effect.name for effect in near.model.effects} <= {e.name for e in dictionary}:
-        from_there(search, base, near.model.effects, near.fit.values)
+        rounds.from_there(search, base, near.model.effects, near.fit.values)
     if open_gap and base.situation.clamped:
         for effects, values in loaded_starts(cheap, errors, applicable(dictionary, base.situation)):
-            from_there(search, base, effects, values)
+            rounds.from_there(search, base, effects, values)
     singles = screening.one_per_name[: SEARCH.singles]
-    alone(search, singles)
+    rounds.alone(search, singles)
     if open_gap:
-        from_elsewhere(search, screening, singles)
+        rounds.from_elsewhere(search, screening, singles)
         from_flight(search, numerics, dictionary)
         anew = expect_anew(search)
         if anew is not None:  # the residual of the base fit belongs to another body
             numerics = anew
         else:
-            together(search, screening)
-            from_first_frames(search, numerics, dictionary)
-        polish(search)
-        load_beside(search, dictionary)
+            rounds.together(search, screening)
+            rounds.from_first_frames(search, numerics, dictionary)
+        rounds.polish(search)
+        rounds.load_beside(search, dictionary)
         for number in range(options.most_effects - 1):
-            if not one_more(search, numerics, dictionary, SEARCH.stems if anew is None and not number else 1):
+            stems = SEARCH.stems if anew is None and not number else 1
+            if not rounds.one_more(search, numerics, dictionary, stems):
                 break
-        beside_in_first_frames(search, numerics, dictionary)
-        leave_out(search)
+        rounds.beside_in_first_frames(search, numerics, dictionary)
+        rounds.leave_out(search)
     few = base.situation.clamped or not open_gap
     decisive = max(1, options.candidates // 2) if few else options.candidates
     forms = DECISION.forms if search.placed and open_gap else 1
