@@ -110,7 +110,9 @@ def _doubt(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
     return max(float(np.mean(whitened**2)), 1.0) * alike
 
 
-def misfit_of_base(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
-    """Mean square of the residuals of the fitted frames over their variance."""
+def misfit_of_base(
+    base: Baseline, variance: Float[np.ndarray, " N"], positions: Float[np.ndarray, "T P 3"] | None = None
+) -> float:
+    """Mean square of the residuals of the fitted frames over their variance, of the base fit or of other positions."""
     rows = base.rows(base.split.fitted)
-    return float(np.mean(base.residual(base.positions)[rows] ** 2 / variance[rows]))
+    return float(np.mean(base.residual(base.positions if positions is None else positions)[rows] ** 2 / variance[rows]))

@@ -68,9 +68,8 @@ def with_rough_errors(seen: Seen, twin: Twin, frames: int) -> Seen:
         return seen
     space = twin.scene.body.space
     shapes = space.shape_values(seen.points)
-    motion = PointMotion(
-        seen.points, run.times, shapes @ run.coordinates, shapes @ run.velocities, getattr(seen, "camera", None)
-    )
+    camera = getattr(seen, "camera", None)
+    motion = PointMotion(seen.points, run.times, shapes @ run.coordinates, shapes @ run.velocities, camera)
     error = _rough_error_by_frame(twin, run, motion)
     return widened(seen, 1.0 + (error[seen.frames] / in_metres(seen, motion)) ** 2)
 
@@ -80,17 +79,14 @@ def _rough_error_by_frame(twin: Twin, run: ReducedTrajectory, motion: PointMotio
     size, times, skinned = twin.mesh.size, run.times, twin.scene.body.space.surface_values
     surface, velocities = skinned @ run.coordinates, (skinned @ run.velocities).mean(1)
     error = BASE_FIT.flying * np.linalg.norm(motion.positions - motion.rest, axis=-1).mean(1)
-    near = np.array(
-        [
-            any((o.gap(x, float(t)) < BASE_FIT.near * size).any() for o in twin.scene.obstacles)
-            for x, t in zip(surface, times, strict=True)
-        ]
-    )
+    obstacles, close = twin.scene.obstacles, BASE_FIT.near * size
+    pairs = zip(surface, times.tolist(), strict=True)
+    near = np.array([any((obstacle.gap(x, t) < close).any() for obstacle in obstacles) for x, t in pairs])
     gravity = np.asarray(twin.scene.gravity, dtype=np.float64)
     pushed = np.linalg.norm(np.diff(velocities, axis=0) - gravity * np.diff(times)[:, None], axis=1)
     near[1:] |= pushed > BASE_FIT.pushed * np.linalg.norm(gravity) * np.diff(times)
     touched = np.flatnonzero(near)
-    if len(touched) and twin.scene.obstacles:
+    if len(touched) and obstacles:
         error[touched[0] :] = np.maximum(error[touched[0] :], BASE_FIT.touched * size)
     return np.asarray(error)
 
@@ -147,9 +143,7 @@ def _windows(frames: int, *, held: bool) -> tuple[int, ...]:
 
     Fewer than ten frames may show only the first fall, which is the same for any soft body.
     """
-    if not held:
-        return (frames,)
-    return tuple(sorted({min(frames, max(10, frames // 2)), frames}))
+    return tuple(sorted({min(frames, max(10, frames // 2)), frames})) if held else (frames,)
 
 
 def steps_per_frame(twin: Twin, values: dict[str, float]) -> int:
@@ -238,10 +232,10 @@ def _run_base(
 ) -> Baseline:  # fmt: skip
     """The full-order model at fitted values, all frames, without tangents."""
     situation = _situation(twin, observations, split, found.names)
-    points, camera = np.asarray(observations.points), situation.camera
     model = EffectModel(
-        twin, found.names, points, capture.frames, situation, camera=camera, mesh=mesh, cost=cost or Cost()
-    )
+        twin, found.names, np.asarray(observations.points), capture.frames, situation, camera=situation.camera,
+        mesh=mesh, cost=cost or Cost(),
+    )  # fmt: skip
     peak, force, motion = _stress_and_contact(model, found.values)
     situation = replace(situation, peak_stress=peak, touches=bool((force > 0).any()))
     nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))

@@ -10,6 +10,7 @@ beam is then heavier than its volume, which mimics a hanging load. The masses ar
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -107,10 +108,8 @@ def _left_beside(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
         for at, dose in enumerate(effect.doses, len(values)):
             tried = nothing.copy()
             tried[at] += dose.trial(base.situation)
-            try:
+            with suppress(ConvergenceError):
                 moved.append(model.signature(tried, nothing, base.motion))
-            except ConvergenceError:
-                continue
     deviations = np.sqrt(variance[rows])
     columns = np.stack([base.change(base.positions[: len(m)] + m)[rows] / deviations for m in moved], axis=1)
     residual = base.residual(base.positions)[rows] / deviations
@@ -152,8 +151,7 @@ def _best_modulus(
         values = start.copy()
         values[index] += decades
         positions = np.concatenate([shorter.positions(values), base.positions[count:]])
-        rows = base.rows(base.split.fitted)
-        tried.append((float(np.mean(base.residual(positions)[rows] ** 2 / variance[rows])), values[index]))
+        tried.append((misfit_of_base(base, variance, positions), values[index]))
     return min(tried)
 
 

@@ -17,6 +17,7 @@ misfit, they define the point where numerical errors are estimated and where the
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 
@@ -74,10 +75,8 @@ class JointFits:
         """The best fit of the reduced model from some starts, doses included; None if none can be simulated."""
         found: list[Fit] = []
         for values in starts:
-            try:
+            with suppress(ConvergenceError):
                 found.append(self._fitted(names, values))
-            except ConvergenceError:
-                continue
         return min(found, key=lambda f: f.misfit, default=None)
 
     def _fitted(self, names: tuple[str, ...], values: np.ndarray) -> Fit:

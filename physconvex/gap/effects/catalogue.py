@@ -48,10 +48,9 @@ GAUGES: tuple[Effect, ...] = (
         description="size, time and E change together; only gravity in free flight ties them",
     ),
 )
-DECLARED_EFFECTS: tuple[Effect, ...] = (*NUMERICAL, *GAUGES)
 DEFAULT_EFFECTS: tuple[Effect, ...] = (
-    *MATERIAL_EFFECTS, *WORLD_EFFECTS, *LOAD_EFFECTS, *CLAMP_EFFECTS, *OBSERVATION_EFFECTS, *IMAGE_EFFECTS,
-    *DECLARED_EFFECTS,
+    *MATERIAL_EFFECTS, *WORLD_EFFECTS, *LOAD_EFFECTS, *CLAMP_EFFECTS, *OBSERVATION_EFFECTS, *IMAGE_EFFECTS, *NUMERICAL,
+    *GAUGES,
 )  # fmt: skip
 EFFECT_NAMES: tuple[str, ...] = tuple(dict.fromkeys(effect.name for effect in DEFAULT_EFFECTS))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
@@ -160,10 +160,6 @@ class Patches:
     times: Float[np.ndarray, " N"]
 
 
-def _always(situation: Situation) -> bool:
-    return True
-
-
 @dataclass(frozen=True)
 class Effect:
     """A deviation from the base model that may explain a gap.
@@ -193,10 +189,10 @@ class Effect:
     observe: Callable[[PointMotion, Float[np.ndarray, " D"]], Float[np.ndarray, "T P 3"]] | None = None
     photograph: Callable[[Patches, Float[np.ndarray, " D"]], Float[np.ndarray, "N h w"]] | None = None
     ahead: Callable[[float, Float[np.ndarray, " D"]], float] | None = None
-    applies: Callable[[Situation], bool] = _always
+    applies: Callable[[Situation], bool] = lambda situation: True
     variant: str = ""
     description: str = ""
-    confusable: tuple[str, ...] = field(default=())
+    confusable: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.doses:

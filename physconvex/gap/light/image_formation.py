@@ -76,8 +76,7 @@ class ImageFinding:
     """Result of the pictures for one effect.
 
     Attributes:
-        effect: the effect.
-        named: with probability, dose and interval.
+        named: the effect with probability, dose and interval.
         called: whether it is a cause.
         statistic: name of the compared statistic, for people.
         gap_before, gap_after, noise_floor: rms of the statistic (a logarithm) in held-out frames.
@@ -86,7 +85,6 @@ class ImageFinding:
         series: the observed statistic.
     """
 
-    effect: Effect
     named: NamedEffect
     called: bool
     statistic: str
@@ -102,7 +100,7 @@ class ImageFinding:
         """The result in words."""
         dose = self.named.doses[0]
         return (
-            f"The pictures show {self.effect.name} (probability {self.named.probability:.0%}): {dose.name} = "
+            f"The pictures show {self.named.name} (probability {self.named.probability:.0%}): {dose.name} = "
             f"{dose.value:.3g} {dose.unit}, which moves no point."
         )
 
@@ -166,7 +164,7 @@ def finding_of(
         (NamedDose.within(first, dose, width),), (),
     )  # fmt: skip
     return ImageFinding(
-        effect, named, called, statistic.name, gap_before=float(np.sqrt(before)), gap_after=float(np.sqrt(after)),
+        named, called, statistic.name, gap_before=float(np.sqrt(before)), gap_after=float(np.sqrt(after)),
         noise_floor=float(np.sqrt(floor)), shrinkage=share, placebo=placebo, series=series,
     )  # fmt: skip
 

@@ -216,7 +216,7 @@ def image_series(report: GapFindings) -> Figure:
         axes.errorbar(times, series.seen, 1.645 * series.errors, fmt="o", color=_ORANGE, ms=3, lw=1, label="seen")
         axes.plot(times, series.at(dose.value), color=_BLUE, label=f"{dose.name} {dose.value:.3g} {dose.unit}")
         axes.axhline(0, color="black", lw=0.8)
-        axes.set_title(f"{finding.effect.name}: {'called' if finding.called else 'not called'}", fontsize=9)
+        axes.set_title(f"{finding.named.name}: {'called' if finding.called else 'not called'}", fontsize=9)
         axes.set_ylabel(finding.statistic.replace(", ", ",\n"), fontsize=7)
         axes.legend(fontsize=7)
     panels[-1].set_xlabel("time [ms]")

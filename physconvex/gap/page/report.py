@@ -48,7 +48,7 @@ class ImprovedTwin:
     def values(self) -> dict[str, float]:
         """Parameters and doses by name."""
         motion = {n: float(v) for n, v in zip(self.hypothesis.model.names, self.hypothesis.values, strict=True)}
-        return motion | {f"{p.effect.name}.{p.named.doses[0].name}": p.named.doses[0].value for p in self.pictures}
+        return motion | {f"{p.named.name}.{p.named.doses[0].name}": p.named.doses[0].value for p in self.pictures}
 
     def positions(self) -> Float[np.ndarray, "T P 3"]:
         """Its observed positions [m]."""

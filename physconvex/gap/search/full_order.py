@@ -141,6 +141,15 @@ def decided(
     The most exact run at its own values corrects each fit, the base model too, which is also refined. Fits without
     remaining time are left out; if none has time, the reduced model's results are returned.
     """
+
+    def corrected(found: Hypothesis) -> Hypothesis:
+        """The fit with its own correction, or unchanged if that run fails or has no time left."""
+        try:
+            return with_own_correction(base, errors, numerics, found)
+        except FAILURES as error:
+            report(f"most exact run: {found.label}: {error}")
+            return found
+
     cost, plain = base.model.cost, base_hypothesis(base, errors)
     cost.allow(options.decision_cost, CLOCK.decision_ends)
     out = [plain]
@@ -156,7 +165,7 @@ def decided(
         ranked = judged(base, errors, out)  # those that may still become the best
         near = {id(h.motion) for h in ranked if h.evidence > ranked[0].evidence - DECISION.hopeless}
         near.add(id(plain.motion))
-        out = [_corrected(base, errors, numerics, h, report) if id(h.motion) in near else h for h in out]
+        out = [corrected(h) if id(h.motion) in near else h for h in out]
         settled = {id(h.motion) for h in out} - near  # ids of motions
     else:
         settled = {id(plain.motion)}
@@ -168,7 +177,7 @@ def decided(
         except FAILURES as error:
             report(f"full-order fit: {found.label}: {error}")
             return None
-        return None if further is None else _corrected(base, errors, numerics, further, report)
+        return None if further is None else corrected(further)
 
     out = fitted_while_it_helps(out, settled, better, lambda fits: judged(base, errors, fits))
     return out if len(out) > 1 else [*out, *chosen[:1]]
@@ -199,14 +208,3 @@ def fitted_while_it_helps(
             if further.seen < hypothesis.seen + DECISION.slow:
                 settled.add(id(further.motion))
     return out
-
-
-def _corrected(
-    base: Baseline, errors: ErrorModel, numerics: Numerics, found: Hypothesis, report: Report
-) -> Hypothesis:  # fmt: skip
-    """A fit with its own correction, or unchanged if that run fails or has no time left."""
-    try:
-        return with_own_correction(base, errors, numerics, found)
-    except FAILURES as error:
-        report(f"most exact run: {found.label}: {error}")
-        return found

@@ -192,10 +192,8 @@ def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effec
 
 def _clock(base: Baseline) -> float:
     """Ratio of the recording's clock rate to the model's, from the fit."""
-    for effect, where in zip(base.model.effects, base.model.slices, strict=True):
-        if effect.name == "time_scale":
-            return 1.0 + float(base.fit.values[where][0])
-    return 1.0
+    doses = zip(base.model.effects, base.model.slices, strict=True)
+    return next((1.0 + float(base.fit.values[where][0]) for e, where in doses if e.name == "time_scale"), 1.0)
 
 
 def _free_end(base: Baseline) -> str:
