@@ -20,16 +20,14 @@ from .configuration import (
 )
 from .notebook import Picture as Picture, data_uri as data_uri, html_summary as html_summary, png_bytes as png_bytes
 from .opengl import load_triton_first as load_triton_first
-from .options import (
-    CommandLine as CommandLine,
-    Options as Options,
-    command as command,
-    error_in_words as error_in_words,
-)
-from .processes import ONE_THREAD as ONE_THREAD, end_with_parent as end_with_parent, one_thread_each as one_thread_each
-from .video.errors import VideoCause as VideoCause, VideoError as VideoError
-from .video.frames import Video as Video
+from .options import CommandLine as CommandLine, Options as Options, command as command
 from .video.images import read_image_sequence as read_image_sequence
 from .video.reading import read_video as read_video
+from .video.result import Video as Video, VideoCause as VideoCause, VideoError as VideoError
 from .video.writing import write_video as write_video
-from .workers import Workers as Workers
+from .workers import (
+    ONE_THREAD as ONE_THREAD,
+    Workers as Workers,
+    end_with_parent as end_with_parent,
+    one_thread_each as one_thread_each,
+)

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
 
 from physconvex.errors import InputError
 
@@ -17,7 +18,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 class FrozenConfig(BaseModel):
-    """An immutable section of a configuration, strict about unknown names; docstrings of fields describe them."""
+    """Immutable settings, strict about unknown names; docstrings of fields describe them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
@@ -41,26 +42,28 @@ def preset_names(package: str) -> list[str]:
     return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
 
 
-def read_tree(source: str | Path, package: str, *, argument: str, expected: str) -> dict[str, Any]:
+def read_tree(source: str | Path, package: str | None, *, argument: str, expected: str) -> dict[str, Any]:
     """The tree in a YAML file, or in the preset of that name.
 
     Args:
         source: path of a file, or name of a preset; a file takes precedence.
-        package: package of the presets.
+        package: package of the presets; None: there are none.
         argument: name of the source in errors.
         expected: expected content of a file, for errors.
 
     Raises:
         InputError: no such file or preset, bad YAML, or no mapping.
     """
-    preset = resources.files(package) / "presets" / f"{source}.yaml"
     if Path(source).is_file():
         text = Path(source).read_text(encoding="utf-8")
-    elif "/" not in str(source) and preset.is_file():
-        text = preset.read_text(encoding="utf-8")
+    elif package is None:
+        raise InputError(f"{argument}: {source} is not a file; expected YAML with {expected}")
+    elif str(source) in (names := preset_names(package)):
+        text = (resources.files(package) / "presets" / f"{source}.yaml").read_text(encoding="utf-8")
     else:
-        names = ", ".join(preset_names(package))
-        raise InputError(f"{argument}: got {str(source)!r}; expected a YAML file or one of the presets {names}")
+        raise InputError(
+            f"{argument}: got {str(source)!r}; expected a YAML file or one of the presets {', '.join(names)}"
+        )
     try:
         tree = yaml.safe_load(text) or {}
     except yaml.YAMLError as error:
@@ -91,6 +94,32 @@ def set_value(tree: dict[str, Any], override: str, *, example: str) -> None:
         raise InputError(f"--set: {override!r}: the value is no valid YAML: {error}") from error
 
 
+_EXPECTED = {
+    "greater_than_equal": "expected at least {ge}",
+    "greater_than": "expected more than {gt}",
+    "less_than_equal": "expected at most {le}",
+    "less_than": "expected less than {lt}",
+    "literal_error": "expected one of {expected}",
+    "finite_number": "expected a finite number",
+}
+
+
+def error_in_words(error: ValidationError) -> str:
+    """Every wrong place: the name, its value, the expected value."""
+    return "; ".join(map(_place_in_words, error.errors()))
+
+
+def _place_in_words(place: ErrorDetails) -> str:
+    name, context = ".".join(map(str, place["loc"])), place.get("ctx", {})
+    if isinstance(context.get("error"), InputError):
+        return str(context["error"])
+    if place["type"] == "extra_forbidden":
+        return f"{name}: no such option"
+    expected = _EXPECTED.get(place["type"])
+    told = place["msg"] if expected is None else expected.format(**context).replace("'", "").replace(" or ", ", ")
+    return f"{name}: got {place['input']!r}; {told}"
+
+
 def validated(model: type[Model], tree: Mapping[str, Any], *, argument: str) -> Model:
     """The configuration, or an error that lists every wrong place.
 
@@ -100,5 +129,4 @@ def validated(model: type[Model], tree: Mapping[str, Any], *, argument: str) -> 
     try:
         return model.model_validate(tree)
     except ValidationError as error:
-        lines = (f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']} (got {e['input']!r})" for e in error.errors())
-        raise InputError(f"{argument}: " + "; ".join(lines)) from error
+        raise InputError(f"{argument}: {error_in_words(error)}") from error

@@ -15,13 +15,14 @@ import inspect
 import types
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Self, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeGuard, Union, get_args, get_origin, get_type_hints
 
 import typer
-from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
+from pydantic import JsonValue, ValidationError
 from pydantic.fields import FieldInfo
 
 from physconvex.errors import InputError
+from physconvex.io.configuration import FrozenConfig, error_in_words
 
 
 @dataclass(frozen=True)
@@ -45,14 +46,12 @@ class CommandLine:
     bounded: bool = False
 
 
-class Options(BaseModel):
-    """Frozen settings. Field docstrings are their help; a field that is itself `Options` contributes its own fields.
+class Options(FrozenConfig):
+    """Settings of a command. Docstrings of fields are their help; a field that is itself `Options` adds its own fields.
 
     Raises:
         InputError: an unknown name or a value out of range.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     if not TYPE_CHECKING:
 
@@ -94,39 +93,13 @@ class Options(BaseModel):
         return self.model_dump(mode="json")
 
 
-_EXPECTED = {
-    "greater_than_equal": "expected at least {ge}",
-    "greater_than": "expected more than {gt}",
-    "less_than_equal": "expected at most {le}",
-    "less_than": "expected less than {lt}",
-    "literal_error": "expected one of {expected}",
-    "finite_number": "expected a finite number",
-}
-
-
-def error_in_words(error: ValidationError) -> str:
-    """Every wrong place: the name, its value, the expected value."""
-    return "; ".join(map(_place_in_words, error.errors()))
-
-
-def _place_in_words(place: Any) -> str:
-    name, context = ".".join(map(str, place["loc"])), place.get("ctx", {})
-    if isinstance(context.get("error"), InputError):
-        return str(context["error"])
-    if place["type"] == "extra_forbidden":
-        return f"{name}: no such option"
-    expected = _EXPECTED.get(place["type"])
-    told = place["msg"] if expected is None else expected.format(**context).replace("'", "").replace(" or ", ", ")
-    return f"{name}: got {place['input']!r}; {told}"
-
-
 def command(function: Callable[..., None]) -> Callable[..., None]:
     """A function for typer: each parameter annotated with `Options` becomes one option per field."""
     hints = get_type_hints(function, include_extras=True)
     parameters, models = [], {}
     for parameter in inspect.signature(function).parameters.values():
         hint = hints[parameter.name]
-        if isinstance(hint, type) and issubclass(hint, Options):
+        if _is_options(hint):
             models[parameter.name] = hint
             parameters += [_parameter(name, info) for name, info in _fields(hint)]
         else:
@@ -143,22 +116,26 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
+def _is_options(kind: object) -> TypeGuard[type[Options]]:
+    return isinstance(kind, type) and issubclass(kind, Options)
+
+
 def _fields(model: type[Options]) -> Iterator[tuple[str, FieldInfo]]:
+    """The options of a command line, those of inner models included."""
     for name, info in model.model_fields.items():
-        kind = info.annotation
-        if isinstance(kind, type) and issubclass(kind, Options):
-            yield from _fields(kind)
+        if _is_options(info.annotation):
+            yield from _fields(info.annotation)
         elif not _command_line(info).hidden:
             yield name, info
 
 
 def _built(model: type[Options], given: dict[str, Any]) -> Options:
+    """The model of values from the command line, which are removed."""
     values: dict[str, object] = {}
     for name, info in model.model_fields.items():
-        kind = info.annotation
-        if isinstance(kind, type) and issubclass(kind, Options):
-            values[name] = _built(kind, given)
-        elif not _command_line(info).hidden:
+        if _is_options(info.annotation):
+            values[name] = _built(info.annotation, given)
+        elif name in given:
             values[name] = _value(info, given.pop(name))
     return model(**values)
 

@@ -8,8 +8,69 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from pydantic import Field
+
+from physconvex.io import CommandLine, Options, command
+
+_PLACES = {
+    "youngs_modulus": "material.youngs_modulus",
+    "poisson_ratio": "material.poisson_ratio",
+    "density": "material.density",
+    "size": "object.size",
+    "drop_height": "object.drop_height",
+    "orientation": "object.orientation_deg",
+    "basis": "basis.kind",
+    "modes": "basis.modes",
+    "frames": "time.frames",
+    "fps": "time.fps",
+}
 
 
+class SimulateOptions(Options):
+    """What is played, and what is written of it."""
+
+    preset: str | None = None
+    """Preset (stiff, soft, plasticine, sand, push, moving_floor) or YAML file."""
+    settings: Annotated[tuple[str, ...], CommandLine("--set")] = Field(
+        default=(),
+        description="Change a setting, such as material.youngs_modulus=3.0e4 or floor.velocity=[1,0,0]; "
+        "2:material.density=500 changes it for the second asset only; repeatable.",
+    )
+    youngs_modulus: float | None = None
+    """Young's modulus [Pa]."""
+    poisson_ratio: float | None = None
+    """Poisson's ratio."""
+    density: float | None = None
+    """Density [kg/m³]."""
+    size: float | None = None
+    """Longest edge of the object [m]. Default: that of the file."""
+    drop_height: float | None = None
+    """Initial height of the lowest point above the floor [m]."""
+    orientation: tuple[float, float, float] | None = None
+    """Initial rotations about x, then y, then z [degrees]."""
+    basis: str | None = None
+    """Kind of skinning weights: eigenmodes, elastic or neural."""
+    modes: int | None = None
+    """Number of skinning weights, without the constant one."""
+    frames: int | None = None
+    """Number of frames; the first is at t = 0."""
+    fps: float | None = None
+    """Frames per second [1/s]."""
+    ply: bool = True
+    """Write one PLY file per frame."""
+    glb: bool = True
+    """Write animation.glb, for any glTF viewer."""
+    video: bool = False
+    """Render video.mp4; needs OpenGL, but no display."""
+
+    @property
+    def overrides(self) -> list[str]:
+        """All settings as `section.name=value`; those of `settings` come last."""
+        given = {place: getattr(self, name) for name, place in _PLACES.items()}
+        return [f"{place}={json.dumps(v)}" for place, v in given.items() if v is not None] + list(self.settings)
+
+
+@command
 def simulate_command(
     *,
     assets: Annotated[
@@ -21,37 +82,7 @@ def simulate_command(
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("simulation"),
-    preset: Annotated[
-        str | None,
-        typer.Option(help="Preset (stiff, soft, plasticine, sand, push, moving_floor) or YAML file."),
-    ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="Change a setting, such as material.youngs_modulus=3.0e4 or floor.velocity=[1,0,0]; "
-            "2:material.density=500 changes it for the second asset only; repeatable.",
-        ),
-    ] = None,
-    youngs_modulus: Annotated[float | None, typer.Option(help="Young's modulus [Pa].")] = None,
-    poisson_ratio: Annotated[float | None, typer.Option(help="Poisson's ratio.")] = None,
-    density: Annotated[float | None, typer.Option(help="Density [kg/m³].")] = None,
-    size: Annotated[
-        float | None, typer.Option(help="Longest edge of the object [m]. Default: that of the file.")
-    ] = None,
-    drop_height: Annotated[
-        float | None, typer.Option(help="Initial height of the lowest point above the floor [m].")
-    ] = None,
-    orientation: Annotated[
-        tuple[float, float, float] | None, typer.Option(help="Initial rotations about x, then y, then z [degrees].")
-    ] = None,
-    basis: Annotated[str | None, typer.Option(help="Kind of skinning weights: eigenmodes, elastic or neural.")] = None,
-    modes: Annotated[int | None, typer.Option(help="Number of skinning weights, without the constant one.")] = None,
-    frames: Annotated[int | None, typer.Option(help="Number of frames; the first is at t = 0.")] = None,
-    fps: Annotated[float | None, typer.Option(help="Frames per second [1/s].")] = None,
-    ply: Annotated[bool, typer.Option(help="Write one PLY file per frame.")] = True,
-    glb: Annotated[bool, typer.Option(help="Write animation.glb, for any glTF viewer.")] = True,
-    video: Annotated[bool, typer.Option(help="Render video.mp4; needs OpenGL, but no display.")] = False,
+    options: SimulateOptions,
     as_json: Annotated[bool, typer.Option("--json", help="Print only the summary, as JSON.")] = False,
     progress: Annotated[bool, typer.Option(help="Show a progress bar.")] = True,
 ) -> None:
@@ -65,24 +96,11 @@ def simulate_command(
     from physconvex.play.simulation import configure_assets
     from physconvex.play.writing import summary_of, write_played
 
-    chosen = {
-        "material.youngs_modulus": youngs_modulus,
-        "material.poisson_ratio": poisson_ratio,
-        "material.density": density,
-        "object.size": size,
-        "object.drop_height": drop_height,
-        "object.orientation_deg": None if orientation is None else list(orientation),
-        "basis.kind": basis,
-        "basis.modes": modes,
-        "time.frames": frames,
-        "time.fps": fps,
-    }
-    overrides = [f"{name}={json.dumps(value)}" for name, value in chosen.items() if value is not None]
-    objects, configs = configure_assets(assets, preset=preset, settings=[*overrides, *(settings or [])])
+    objects, configs = configure_assets(assets, preset=options.preset, settings=options.overrides)
     quiet = as_json or not progress or not sys.stderr.isatty()
     with tqdm(total=configs[0].time.frames - 1, unit="frame", disable=quiet) as bar:
         played = play_together(objects, configs, on_frame=lambda _: bar.update())
-    write_played(played, out, ply=ply, glb=glb, video=video)
+    write_played(played, out, ply=options.ply, glb=options.glb, video=options.video)
     summary = {"out": str(out), **summary_of(played)}
     if as_json:
         typer.echo(json.dumps(summary))

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from physconvex.errors import InputError
-from physconvex.io import set_value, validated
+from physconvex.io import FrozenConfig, read_tree, set_value, validated
 
 StartKind = Literal["auto", "mesh", "hull", "points"]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -18,7 +16,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 _EXAMPLE = "budget=12000"
 
 
-class ReconstructionConfig(BaseModel):
+class ReconstructionConfig(FrozenConfig):
     """Settings of a reconstruction. Lengths are in footprints, the size of one pixel of the full image at the object.
 
     Attributes:
@@ -40,8 +38,6 @@ class ReconstructionConfig(BaseModel):
             harmonics get `view_rate` times this, and decay by `view_decay` per step.
         seed: of the order of the views and of all samples.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     start: StartKind = "auto"
     budget: int = Field(default=16_000, ge=50)
@@ -106,14 +102,7 @@ def load_reconstruction_config(
     if isinstance(source, ReconstructionConfig):
         tree = source.model_dump()
     elif source is not None:
-        if not Path(source).is_file():
-            raise InputError(f"config: {source} is not a file; expected YAML with lines such as `budget: 12000`")
-        try:
-            tree = yaml.safe_load(Path(source).read_text(encoding="utf-8")) or {}
-        except yaml.YAMLError as error:
-            raise InputError(f"config: {source} is no valid YAML: {error}") from error
-        if not isinstance(tree, dict):
-            raise InputError(f"config: {source} holds {type(tree).__name__}; expected names and values")
+        tree = read_tree(source, None, argument="config", expected="lines such as `budget: 12000`")
     for override in overrides:
         set_value(tree, override, example=_EXAMPLE)
     tree.update({name: value for name, value in values.items() if value is not None})

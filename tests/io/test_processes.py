@@ -13,7 +13,7 @@ PROGRAM = """
 import os, sys, time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from physconvex.io.processes import end_with_parent
+from physconvex.io import end_with_parent
 
 if __name__ == "__main__":
     pool = ProcessPoolExecutor(1, get_context("spawn"), {initialiser})

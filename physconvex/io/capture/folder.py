@@ -13,9 +13,9 @@ from physconvex.errors import InputError
 from physconvex.io.camera import Camera
 from physconvex.io.capture.metadata import CAPTURE_FILE, CaptureFile, read_capture_file
 from physconvex.io.capture.parts import Boundary, Tracks, read_arrays, read_boundary, read_tracks
-from physconvex.io.video.frames import Video
 from physconvex.io.video.images import read_image_sequence
 from physconvex.io.video.reading import read_video
+from physconvex.io.video.result import Video
 
 if TYPE_CHECKING:
     import trimesh

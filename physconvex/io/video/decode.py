@@ -9,8 +9,8 @@ import av
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from physconvex.io.video.errors import VideoError
 from physconvex.io.video.probe import OPEN_OPTIONS, Probe, video_stream
+from physconvex.io.video.result import VideoError
 
 # Where decord 0.6 returns the same bytes as PyAV: tests/io/test_video.py compares them.
 _DECORD_CODECS = ("h264",)

@@ -7,8 +7,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from physconvex.errors import InputError
-from physconvex.io.video.errors import VideoError
-from physconvex.io.video.frames import Video
+from physconvex.io.video.result import Video, VideoError
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 

@@ -12,7 +12,7 @@ import numpy as np
 from av.stream import Disposition
 from av.video.stream import VideoStream
 
-from physconvex.io.video.errors import VideoError
+from physconvex.io.video.result import VideoError
 
 # A file may be a play list that refers elsewhere: never follow it beyond this machine's files.
 OPEN_OPTIONS = {"protocol_whitelist": "file"}

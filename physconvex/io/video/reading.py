@@ -9,9 +9,8 @@ from jaxtyping import Float64
 
 from physconvex.errors import InputError
 from physconvex.io.video.decode import Decoded, Limits, decode_decord, decode_pyav, suits_decord
-from physconvex.io.video.errors import VideoError
-from physconvex.io.video.frames import Video, frame_rate
 from physconvex.io.video.probe import Probe, check_file, probe_video
+from physconvex.io.video.result import Video, VideoError
 
 VideoBackend = Literal["auto", "decord", "pyav"]
 
@@ -113,7 +112,7 @@ def _times(probe: Probe, decoded: Decoded) -> tuple[Float64[np.ndarray, " T"], f
     timestamps = stated - stated[0]
     if count < 2:
         return timestamps, probe.rate or 24.0, []
-    mean, steps = frame_rate(timestamps), np.diff(timestamps)
+    mean, steps = float((count - 1) / timestamps[-1]), np.diff(timestamps)
     if np.ptp(steps) > 0.25 * np.median(steps):
         return (
             timestamps,
