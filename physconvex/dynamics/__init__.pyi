@@ -5,10 +5,11 @@ from .contact import (
     Plane as Plane,
     Sphere as Sphere,
     contact_defaults as contact_defaults,
+    obstacle_rows as obstacle_rows,
 )
 from .contact_resolvent import resolve as resolve
-from .first_guesses import GuessErrors as GuessErrors
 from .integrators import (
+    GuessErrors as GuessErrors,
     IntegratorName as IntegratorName,
     Minimum as Minimum,
     State as State,
@@ -19,17 +20,12 @@ from .integrators import (
     minimise as minimise,
     step_coefficients as step_coefficients,
 )
-from .loads import HangingLoad as HangingLoad, Loads as Loads
-from .obstacle_table import obstacle_rows as obstacle_rows
-from .pins import Pins as Pins
+from .loads import HangingLoad as HangingLoad, Loads as Loads, Pins as Pins
 from .sensitivity import (
     SensitiveTrajectory as SensitiveTrajectory,
     simulate_with_sensitivities as simulate_with_sensitivities,
 )
-from .simulation import (
-    FrameStates as FrameStates,
-    simulate as simulate,
-)
+from .simulation import FrameStates as FrameStates, simulate as simulate
 from .stepping import (
     Observer as Observer,
     PreparedRollOut as PreparedRollOut,

@@ -12,7 +12,7 @@ follows the smoothed Coulomb law of Li et al. 2020 (IPC), eq. 14: force μ N f�
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -39,21 +39,27 @@ def _vector(name: str, value: Vector) -> np.ndarray:
     return array
 
 
-def _check_friction(friction: float) -> None:
-    if not (np.isfinite(friction) and friction >= 0):
-        raise InputError(f"friction: got {friction}; expected a finite coefficient ≥ 0")
+class _Moving:
+    """What planes and spheres share: friction and motion; a constant velocity becomes an array in place."""
 
+    friction: float
+    velocity: Velocity
+    _path: MotionPath
 
-def _path(obstacle: Plane | Sphere) -> MotionPath:
-    """Its motion; a constant velocity becomes an array in place."""
-    path = MotionPath(obstacle.velocity)
-    if not callable(obstacle.velocity):
-        object.__setattr__(obstacle, "velocity", path.velocity(0.0))
-    return path
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_path", MotionPath(self.velocity))
+        if not callable(self.velocity):
+            object.__setattr__(self, "velocity", self._path.velocity(0.0))
+        if not (np.isfinite(self.friction) and self.friction >= 0):
+            raise InputError(f"friction: got {self.friction}; expected a finite coefficient ≥ 0")
+
+    def velocity_at(self, time: float) -> Float[np.ndarray, " 3"]:
+        """Velocity at a time [m/s]."""
+        return self._path.velocity(time)
 
 
 @dataclass(frozen=True)
-class Plane:
+class Plane(_Moving):
     """Half-space {x : (x − point(t))·normal < 0} that bodies must not enter.
 
     Attributes:
@@ -71,22 +77,17 @@ class Plane:
     _path: MotionPath = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_path", _path(self))
+        super().__post_init__()
         for name in ("point", "normal"):
             object.__setattr__(self, name, _vector(name, getattr(self, name)))
         length = np.linalg.norm(self.normal)
         if length == 0:
             raise InputError("normal: got the zero vector; expected a direction")
         object.__setattr__(self, "normal", np.asarray(self.normal) / length)
-        _check_friction(self.friction)
 
     def gap(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, " V"]:
         """Signed distance [m], negative inside."""
         return (x - (np.asarray(self.point) + self._path.displacement(time))) @ np.asarray(self.normal)
-
-    def velocity_at(self, time: float) -> Float[np.ndarray, " 3"]:
-        """Velocity at a time [m/s]."""
-        return self._path.velocity(time)
 
     def normals(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, "V 3"]:
         """Gradient of the gap."""
@@ -98,7 +99,7 @@ class Plane:
 
 
 @dataclass(frozen=True)
-class Sphere:
+class Sphere(_Moving):
     """Solid sphere that bodies must not enter: `center` [m] at t = 0, `radius` [m], `velocity` [m/s] or a function."""
 
     center: Vector
@@ -108,11 +109,10 @@ class Sphere:
     _path: MotionPath = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_path", _path(self))
+        super().__post_init__()
         object.__setattr__(self, "center", _vector("center", self.center))
         if not (np.isfinite(self.radius) and self.radius > 0):
             raise InputError(f"radius: got {self.radius}; expected a length > 0 in metres")
-        _check_friction(self.friction)
 
     def center_at(self, time: float) -> Float[np.ndarray, " 3"]:
         """Position of the centre at a time [m]."""
@@ -126,10 +126,6 @@ class Sphere:
         """Signed distance [m], negative inside."""
         return self._offset(x, time)[1] - self.radius
 
-    def velocity_at(self, time: float) -> Float[np.ndarray, " 3"]:
-        """Velocity at a time [m/s]."""
-        return self._path.velocity(time)
-
     def normals(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, "V 3"]:
         """Gradient of the gap."""
         offset, distance = self._offset(x, time)
@@ -141,6 +137,19 @@ class Sphere:
 
 
 Obstacle = Plane | Sphere
+
+
+def obstacle_rows(obstacles: Sequence[Obstacle], time: float) -> Float[np.ndarray, "O 9"]:
+    """Obstacles at a time [s] in the format of the compiled kernels, `struct Obstacle` of sources/shared/obstacle.h."""
+    return np.array([_row(obstacle, time) for obstacle in obstacles]).reshape(-1, 9)
+
+
+def _row(obstacle: Obstacle, time: float) -> list[float]:
+    if isinstance(obstacle, Plane):
+        where, size = obstacle.normal, -float(obstacle.gap(np.zeros((1, 3)), time)[0])
+    else:
+        where, size = obstacle.center_at(time), obstacle.radius
+    return [float(isinstance(obstacle, Sphere)), *where, size, *obstacle.velocity_at(time), obstacle.friction]
 
 
 @dataclass(frozen=True)
@@ -216,26 +225,29 @@ class Contact:
         inside = depth > 0
         return self.nodes[inside], depth[inside]
 
-    def energy_and_gradient(self, x: Float[np.ndarray, "V 3"], time: float) -> tuple[float, Float[np.ndarray, "V 3"]]:
-        """Contact energy [J] and its derivative [N]."""
-        total, gradient = 0.0, np.zeros_like(x)
+    def _touched(self, x: np.ndarray, time: float) -> Iterator[tuple[Obstacle, np.ndarray, np.ndarray]]:
+        """The obstacles that nodes are inside of, those nodes, and their depths [m]."""
         for obstacle in self.obstacles:
             nodes, depth = self.touching(obstacle, x, time)
             if len(nodes):
-                energy, slope, _ = self.hinge(depth)
-                total += float(self.areas[nodes] @ energy)
-                gradient[nodes] -= (self.areas[nodes] * slope)[:, None] * obstacle.normals(x[nodes], time)
+                yield obstacle, nodes, depth
+
+    def energy_and_gradient(self, x: Float[np.ndarray, "V 3"], time: float) -> tuple[float, Float[np.ndarray, "V 3"]]:
+        """Contact energy [J] and its derivative [N]."""
+        total, gradient = 0.0, np.zeros_like(x)
+        for obstacle, nodes, depth in self._touched(x, time):
+            energy, slope, _ = self.hinge(depth)
+            total += float(self.areas[nodes] @ energy)
+            gradient[nodes] -= (self.areas[nodes] * slope)[:, None] * obstacle.normals(x[nodes], time)
         return total, gradient
 
     def hessian_blocks(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, "V 3 3"]:
         """Diagonal blocks of the Hessian [N/m]; the negative curvature term of spheres is left out (stays definite)."""
         blocks = np.zeros((len(x), 3, 3))
-        for obstacle in self.obstacles:
-            nodes, depth = self.touching(obstacle, x, time)
-            if len(nodes):
-                normals = obstacle.normals(x[nodes], time)
-                stiffness = self.areas[nodes] * self.hinge(depth)[2]
-                blocks[nodes] += stiffness[:, None, None] * normals[:, :, None] * normals[:, None, :]
+        for obstacle, nodes, depth in self._touched(x, time):
+            normals = obstacle.normals(x[nodes], time)
+            stiffness = self.areas[nodes] * self.hinge(depth)[2]
+            blocks[nodes] += stiffness[:, None, None] * normals[:, :, None] * normals[:, None, :]
         return blocks
 
     def freeze_friction(
@@ -247,12 +259,7 @@ class Contact:
         dissipation from above (f₀ is concave in |v_t|²), so re-freezing and solving again converges to Coulomb's law.
         """
         frozen = []
-        for obstacle in self.obstacles:
-            if not obstacle.friction and not self.damping:
-                continue
-            nodes, depth = self.touching(obstacle, x, time)
-            if not len(nodes):
-                continue
+        for obstacle, nodes, depth in self._touched(x, time):
             part = Friction(nodes, self.areas[nodes], obstacle.normals(x[nodes], time), obstacle.velocity_at(time))
             if self.damping:
                 frozen.append(self._dashpot(part, depth, velocity))

@@ -11,6 +11,7 @@ velocity. Shared by the full-order and the reduced model: both supply an `Object
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
@@ -24,6 +25,7 @@ IntegratorName = Literal["bdf2", "implicit_euler"]
 _ARMIJO = 1e-4  # sufficient decrease
 _STALE_RATE = 0.25  # contraction above which a reused factorisation is renewed
 _ROUNDING = 1e-13  # relative error allowed for in energies
+_GRAIN = 1e-9  # times closer than this are the same [s]
 
 
 @dataclass(frozen=True)
@@ -109,23 +111,16 @@ class Minimum:
 
 def _renew(objective: Objective, x: np.ndarray, *, project: bool) -> bool:
     """Factorise at x, projected if requested or necessary; returns whether it is projected."""
-    if not project and _factorised_as_it_is(objective, x):
-        return False
+    if not project:
+        with suppress(NotPositiveDefiniteError):
+            objective.factorise(x, project=False)
+            return False
     try:
         objective.factorise(x, project=True)
     except NotPositiveDefiniteError as error:
         raise ConvergenceError(
             f"the projected Hessian is singular ({error}): a static body must be held by pins or contacts"
         ) from error
-    return True
-
-
-def _factorised_as_it_is(objective: Objective, x: np.ndarray) -> bool:
-    """Factorise the Hessian at x; False if it is not positive definite."""
-    try:
-        objective.factorise(x, project=False)
-    except NotPositiveDefiniteError:
-        return False
     return True
 
 
@@ -224,3 +219,30 @@ def extrapolate(state: State, history: State | None, step: float) -> np.ndarray:
     """First guess of the new coordinates [m], linear in the states."""
     guess = state.positions + step * state.velocities
     return guess if history is None else guess + 0.5 * step * (state.velocities - history.velocities)
+
+
+class GuessErrors:
+    """Errors [m] of the first guesses of one roll-out, indexed by end and length of the step.
+
+    Another roll-out with nearly the same parameters makes nearly the same errors, so that its guesses can be corrected.
+    """
+
+    def __init__(self) -> None:
+        self._missed: dict[tuple[int, int], np.ndarray] = {}
+
+    def note(self, time: float, step: float, missed: np.ndarray) -> None:
+        """Store the error [m] of a step with that end [s] and length [s]."""
+        self._missed[_key(time, step)] = missed
+
+    def corrected(self, guess: np.ndarray, time: float, step: float) -> np.ndarray:
+        """The first guess [m] of a step, corrected by the recorded error if there is one."""
+        missed = self._missed.get(_key(time, step))
+        return guess if missed is None else guess + missed
+
+    def __len__(self) -> int:
+        """Number of steps."""
+        return len(self._missed)
+
+
+def _key(time: float, step: float) -> tuple[int, int]:
+    return round(time / _GRAIN), round(step / _GRAIN)

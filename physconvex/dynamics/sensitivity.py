@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from physconvex.dynamics.integrators import State
-from physconvex.dynamics.simulation import Simulated, simulate
+from physconvex.dynamics.simulation import Simulated, Trajectory_co, TrajectoryT, simulate
 from physconvex.dynamics.stepping import StepRecord
 from physconvex.dynamics.timing import Timing
 from physconvex.numerics import one_torch_thread
-
-TrajectoryT = TypeVar("TrajectoryT")
-Trajectory_co = TypeVar("Trajectory_co", covariant=True)
 
 
 @runtime_checkable

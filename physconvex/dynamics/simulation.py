@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, TypeVar, runtime_checkable
@@ -10,8 +10,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics.first_guesses import GuessErrors
-from physconvex.dynamics.integrators import State
+from physconvex.dynamics.integrators import GuessErrors, State
 from physconvex.dynamics.stepping import Observer, PreparedRollOut, SolveStatistics, Stepper
 from physconvex.dynamics.timing import Timing
 from physconvex.numerics import one_torch_thread
@@ -44,20 +43,6 @@ class FrameStates:
         """F_f at the samples of a body at the frames; None for an elastic one."""
         found = [flow for flow in (flows[body] for flows in self.flows) if flow is not None]
         return np.stack(found) if found else None
-
-
-def _frame_states(
-    advance: Callable[[State, float], State], prepared: PreparedRollOut, timing: Timing
-) -> Iterator[State]:
-    """States at the frames: the start, then the states after the time steps of each frame."""
-    state = prepared.start
-    yield state
-    for frame in range(1, timing.frames):
-        steps = prepared.steps_per_frame(state) if callable(prepared.steps_per_frame) else prepared.steps_per_frame
-        for _ in range(steps):
-            state = advance(state, 1.0 / (timing.fps * steps))
-        state = replace(state, time=frame / timing.fps)
-        yield state
 
 
 Trajectory_co = TypeVar("Trajectory_co", covariant=True)
@@ -113,10 +98,14 @@ def simulate(
     timing = timing or Timing()
     prepared = scene.prepared(timing)
     stepper = Stepper(prepared, timing, observer=observer, guess_errors=guess_errors, recorded_errors=recorded_errors)
-    states, flows = [], []
-    for state in _frame_states(stepper.advance, prepared, timing):
-        states.append(state)
+    states, flows = [prepared.start], [prepared.equations.flowed()]
+    for frame in range(1, timing.frames):
+        state, steps = states[-1], prepared.steps_per_frame
+        steps = steps(state) if callable(steps) else steps
+        for _ in range(steps):
+            state = stepper.advance(state, 1.0 / (timing.fps * steps))
+        states.append(replace(state, time=frame / timing.fps))
         flows.append(prepared.equations.flowed())
-        if on_frame is not None and state is not prepared.start:
-            on_frame(state)
+        if on_frame is not None:
+            on_frame(states[-1])
     return scene.trajectory(FrameStates(tuple(states), tuple(flows), stepper.statistics()))

@@ -11,8 +11,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from physconvex.dynamics.contact import Friction
-from physconvex.dynamics.first_guesses import GuessErrors
 from physconvex.dynamics.integrators import (
+    GuessErrors,
     Minimum,
     Objective,
     State,
@@ -246,11 +246,9 @@ class Stepper:
     def _solved_at_once(self, solve: Callable[[np.ndarray], Minimum], guess: np.ndarray) -> list[SolvedPass]:
         """The solution; for an observer, with its friction."""
         found = solve(guess)
-        self.iterations += found.iterations
-        self.projections += found.projections
         if self.observer is not None:
             self.equations.freeze_friction(found.x)
-        return [SolvedPass(found.x, self.equations.friction)]
+        return [self._counted(found)]
 
     def _check_energy(self, energy: Callable[[State], float], record: StepRecord) -> None:
         known = self._known_energy
@@ -261,13 +259,11 @@ class Stepper:
         self._known_energy = record.after, after
 
     def _minimise(self, start: np.ndarray, fallback: Callable[[], np.ndarray] | None = None) -> SolvedPass:
-        found: Minimum = minimise(
-            self.equations,
-            start,
-            tolerance=self.prepared.tolerance,
-            stale_rate=self.prepared.stale_rate,
-            fallback=fallback,
-        )
+        tolerance, stale_rate = self.prepared.tolerance, self.prepared.stale_rate
+        found = minimise(self.equations, start, tolerance=tolerance, stale_rate=stale_rate, fallback=fallback)
+        return self._counted(found)
+
+    def _counted(self, found: Minimum) -> SolvedPass:
         self.iterations += found.iterations
         self.projections += found.projections
         return SolvedPass(found.x, self.equations.friction)

@@ -1,6 +1,5 @@
 from .body import MaterialBody as MaterialBody
 from .combined_flows import Flows as Flows, stored_flows as stored_flows
-from .constants import checked_constant as checked_constant
 from .inelastic import (
     FlowRule as FlowRule,
     FlowStep as FlowStep,
@@ -12,21 +11,20 @@ from .laws import (
     LAWS as LAWS,
     Law as Law,
     LawName as LawName,
+    checked_constant as checked_constant,
     get_law as get_law,
+    isotropic_stress as isotropic_stress,
     lame_parameters as lame_parameters,
     project_to_positive as project_to_positive,
+    strain_rate as strain_rate,
     strain_stiffness as strain_stiffness,
+    viscous_stress as viscous_stress,
 )
 from .strain_terms import (
     combined as combined,
     less_ground as less_ground,
     with_fibres as with_fibres,
     with_strain_stiffening as with_strain_stiffening,
-)
-from .viscosity import (
-    inner_viscous_stress as inner_viscous_stress,
-    strain_rate as strain_rate,
-    viscous_stress as viscous_stress,
 )
 from .volumetric import (
     KERNEL_LAWS as KERNEL_LAWS,

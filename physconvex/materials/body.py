@@ -13,8 +13,7 @@ from torch import Tensor
 
 from physconvex.materials.combined_flows import stored_flows
 from physconvex.materials.inelastic import FlowRule, FlowStep
-from physconvex.materials.laws import Law, get_law
-from physconvex.materials.viscosity import inner_viscous_stress, strain_rate
+from physconvex.materials.laws import Law, get_law, isotropic_stress, strain_rate
 
 
 class MaterialBody(ABC):
@@ -116,7 +115,7 @@ class MaterialBody(ABC):
         assert self.flow is not None
         return self.flow.during(undo, self.deformation_gradient(x), self.mu, self.lam, step)
 
-    # -- viscosity, see `physconvex.materials.viscosity`
+    # -- viscosity, see `physconvex.materials.laws`
 
     def viscous_energy_and_gradient(
         self, state: Tensor, velocity: Float[np.ndarray, "N 3"], damping_time: float
@@ -128,7 +127,7 @@ class MaterialBody(ABC):
     def _viscous_pair(self, state: Tensor, rate: Tensor, damping_time: float) -> tuple[Tensor, Tensor]:
         """Ė, and 2 μ_v Ė + λ_v tr Ė."""
         strain = strain_rate(state, rate)
-        return strain, inner_viscous_stress(strain, damping_time * self.mu, damping_time * self.lam)
+        return strain, isotropic_stress(strain, damping_time * self.mu, damping_time * self.lam)
 
     def _rate_potential(self, strain: Tensor, inner: Tensor) -> float:
         return 0.5 * float((self._weights * (inner * strain).sum((-1, -2))).sum())

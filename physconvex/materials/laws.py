@@ -1,4 +1,4 @@
-"""Elastic laws as triples energy / stress / hessian of the deformation gradient F.
+"""Elastic laws as triples energy / stress / hessian of the deformation gradient F, their constants, and viscosity.
 
 Every law takes F [..., 3, 3] and the Lamé constants mu, lam [Pa] (broadcastable to [...]) and returns
 
@@ -17,13 +17,16 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal, get_args
 
+import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.errors import InputError
 from physconvex.materials.volumetric import VOLUMETRIC_TERMS, VolumetricTerm
 
 LawName = Literal["neo_hookean", "neo_hookean_log", "stvk", "corotated", "linear"]
+_BOUNDS = {"youngs_modulus": (0.0, np.inf), "poisson_ratio": (-1.0, 0.5), "density": (0.0, np.inf)}
 Triple = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
@@ -48,6 +51,22 @@ def lame_parameters(youngs_modulus: Tensor, poisson_ratio: Tensor) -> tuple[Tens
     mu = youngs_modulus / (2 * (1 + poisson_ratio))
     lam = youngs_modulus * poisson_ratio / ((1 + poisson_ratio) * (1 - 2 * poisson_ratio))
     return mu, lam
+
+
+def checked_constant(
+    name: str, value: float | Float[np.ndarray, ...], shape: tuple[int, ...]
+) -> Float[np.ndarray, ...]:
+    """The values of E [Pa], ν [-] or ρ [kg/m³], of a shape.
+
+    Raises:
+        InputError: values of another shape or out of the range of the constant of that name.
+    """
+    array, (low, high) = np.asarray(value, dtype=np.float64), _BOUNDS[name]
+    if array.shape not in ((), shape):
+        raise InputError(f"{name}: got shape {array.shape}; expected a number or {list(shape)}")
+    if not ((array > low) & (array < high)).all():
+        raise InputError(f"{name}: got values in [{array.min()}, {array.max()}]; expected inside ({low}, {high})")
+    return np.broadcast_to(array, shape).copy()
 
 
 def get_law(name: str) -> Law:
@@ -150,18 +169,18 @@ def _trace(a: Tensor) -> Tensor:
     return a.diagonal(dim1=-2, dim2=-1).sum(-1)
 
 
-def _second_stress(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
-    strain = _green_strain(f)
-    return 2 * _m(mu) * strain + _m(lam * _trace(strain)) * _like(_EYE3, f)
+def isotropic_stress(strain: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    """2 μ E + λ tr E, Hooke's law of a strain, or of a strain rate and viscosities."""
+    return 2 * _m(mu) * strain + _m(lam * _trace(strain)) * _like(_EYE3, strain)
 
 
-def _stvk_energy(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
-    strain = _green_strain(f)
-    return mu * (strain * strain).sum((-1, -2)) + lam / 2 * _trace(strain) ** 2
+def _isotropic_energy(strain: Callable[[Tensor], Tensor], f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    found = strain(f)
+    return mu * (found * found).sum((-1, -2)) + lam / 2 * _trace(found) ** 2
 
 
 def _stvk_stress(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
-    return f @ _second_stress(f, mu, lam)
+    return f @ isotropic_stress(_green_strain(f), mu, lam)
 
 
 def strain_stiffness(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
@@ -175,7 +194,7 @@ def strain_stiffness(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
 
 
 def _stvk_hessian(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
-    geometric = torch.einsum("ik,...jl->...ijkl", _like(_EYE3, f), _second_stress(f, mu, lam))
+    geometric = torch.einsum("ik,...jl->...ijkl", _like(_EYE3, f), isotropic_stress(_green_strain(f), mu, lam))
     return geometric.reshape(*f.shape[:-2], 9, 9) + strain_stiffness(f, mu, lam)
 
 
@@ -226,26 +245,40 @@ def _small_strain(f: Tensor) -> Tensor:
     return 0.5 * (f + f.mT) - _like(_EYE3, f)
 
 
-def _linear_energy(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
-    strain = _small_strain(f)
-    return mu * (strain * strain).sum((-1, -2)) + lam / 2 * _trace(strain) ** 2
-
-
 def _linear_stress(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
-    strain = _small_strain(f)
-    return 2 * _m(mu) * strain + _m(lam * _trace(strain)) * _like(_EYE3, f)
+    return isotropic_stress(_small_strain(f), mu, lam)
 
 
 def _linear_hessian(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
     return strain_stiffness(_like(_EYE3, f).expand(f.shape), mu, lam)
 
 
+# --- Kelvin–Voigt viscosity: rate potential μ_v Ė:Ė + λ_v/2 (tr Ė)², Ė = sym(F*ᵀ Ḟ), F* frozen for a time step.
+
+
+def strain_rate(state: Tensor, rate: Tensor) -> Tensor:
+    """Ė [1/s], shape [..., 3, 3], of F* and Ḟ [1/s]."""
+    strain = state.mT @ rate
+    return 0.5 * (strain + strain.mT)
+
+
+def viscous_stress(state: Tensor, rate: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    """First Piola–Kirchhoff stress F* (2 μ_v Ė + λ_v tr Ė) [Pa].
+
+    Args:
+        state: F*, [..., 3, 3].
+        rate: Ḟ [1/s], [..., 3, 3].
+        mu, lam: viscosities μ_v, λ_v [Pa·s].
+    """
+    return state @ isotropic_stress(strain_rate(state, rate), mu, lam)
+
+
 LAWS: dict[str, Law] = {
     law.name: law
     for law in (
         *(_volumetric_law(name, term) for name, term in VOLUMETRIC_TERMS.items()),
-        Law("stvk", _stvk_energy, _stvk_stress, _stvk_hessian),
+        Law("stvk", partial(_isotropic_energy, _green_strain), _stvk_stress, _stvk_hessian),
         Law("corotated", _corotated_energy, _corotated_stress, _corotated_hessian),
-        Law("linear", _linear_energy, _linear_stress, _linear_hessian),
+        Law("linear", partial(_isotropic_energy, _small_strain), _linear_stress, _linear_hessian),
     )
 }

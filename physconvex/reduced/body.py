@@ -18,7 +18,7 @@ from physconvex.materials import (
     MaterialBody,
     MaterialPoints,
     checked_constant,
-    inner_viscous_stress,
+    isotropic_stress,
     lame_parameters,
     project_to_positive,
     strain_rate,
@@ -211,7 +211,7 @@ class ReducedBody(MaterialBody):
             parts += g.reshape(-1, size).mT @ half.reshape(-1, 6 * size)
         return _from_pairs(parts.reshape(size, 6, size)).cpu().numpy()
 
-    # -- viscosity, see `physconvex.materials.viscosity`
+    # -- viscosity, see `physconvex.materials.laws`
 
     def viscous_energy_and_gradient(
         self, state: Tensor, velocity: Float[np.ndarray, "R 3"], damping_time: float
@@ -242,9 +242,9 @@ class ReducedBody(MaterialBody):
             return self._viscosity.tangent(state.numpy(), velocity, step, speed_up, damping_time)
         mu, lam = damping_time * self.mu, damping_time * self.lam
         rate, moved, faster = (self.deformation_gradient(y) for y in (velocity, step, speed_up))
-        change = inner_viscous_stress(strain_rate(moved, rate), mu, lam)
-        change = change + inner_viscous_stress(strain_rate(state, faster), mu, lam)
-        return self.forces_of(moved @ inner_viscous_stress(strain_rate(state, rate), mu, lam) + state @ change)
+        change = isotropic_stress(strain_rate(moved, rate), mu, lam)
+        change = change + isotropic_stress(strain_rate(state, faster), mu, lam)
+        return self.forces_of(moved @ isotropic_stress(strain_rate(state, rate), mu, lam) + state @ change)
 
 
 def _from_pairs(parts: Tensor) -> Tensor:
