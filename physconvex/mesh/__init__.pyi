@@ -1,4 +1,3 @@
-from .coarse_meshing import mesh_of_few_nodes as mesh_of_few_nodes, shape_mismatch as shape_mismatch
 from .elements import (
     QUADRATURE as QUADRATURE,
     barycentric_gradients as barycentric_gradients,
@@ -13,11 +12,20 @@ from .embedding import (
 )
 from .filling import filled as filled
 from .implicit_meshing import tetrahedralize_implicit as tetrahedralize_implicit
-from .meshing import TriangleSurface as TriangleSurface, tetrahedralize as tetrahedralize
+from .meshing import (
+    TriangleSurface as TriangleSurface,
+    mesh_of_few_nodes as mesh_of_few_nodes,
+    shape_mismatch as shape_mismatch,
+    tetrahedralize as tetrahedralize,
+)
 from .refinement import refine_locally as refine_locally, refine_uniformly as refine_uniformly
-from .signed_distance import overlap as overlap, surface_distance as surface_distance
 from .surface_fitting import with_volume as with_volume
-from .surfaces import enclosed_volume as enclosed_volume, with_merged_vertices as with_merged_vertices
+from .surfaces import (
+    enclosed_volume as enclosed_volume,
+    overlap as overlap,
+    surface_distance as surface_distance,
+    with_merged_vertices as with_merged_vertices,
+)
 from .tet_mesh import (
     EDGE_CORNERS as EDGE_CORNERS,
     FACE_CORNERS as FACE_CORNERS,

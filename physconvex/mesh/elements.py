@@ -12,19 +12,11 @@ _A, _B = (5 + 3 * np.sqrt(5)) / 20, (5 - np.sqrt(5)) / 20
 
 def _keast_degree_4() -> tuple[np.ndarray, np.ndarray]:
     """Eleven points, degree 4 (Keast 1986, rule 4 of the 11-point family)."""
-    points, weights = [np.full(4, 0.25)], [-0.01315555555555556 * 6]
-    for i in range(4):
-        p = np.full(4, 0.07142857142857143)
-        p[i] = 0.7857142857142857
-        points.append(p)
-        weights.append(0.007622222222222222 * 6)
-    a, b = 0.39940357616679920, 0.10059642383320080
-    for i, j in EDGE_CORNERS:
-        p = np.full(4, b)
-        p[[i, j]] = a
-        points.append(p)
-        weights.append(0.02488888888888889 * 6)
-    return np.array(points), np.array(weights)
+    near_corners = np.where(np.eye(4) > 0, 0.7857142857142857, 0.07142857142857143)
+    near_edges = np.full((6, 4), 0.10059642383320080)
+    np.put_along_axis(near_edges, EDGE_CORNERS, 0.39940357616679920, axis=1)
+    weights = np.repeat([-0.01315555555555556, 0.007622222222222222, 0.02488888888888889], [1, 4, 6])
+    return np.vstack([np.full((1, 4), 0.25), near_corners, near_edges]), 6 * weights
 
 
 # degree -> (barycentric points [Q, 4], weights [Q] that sum to one)

@@ -20,8 +20,7 @@ from scipy.stats import qmc
 
 from physconvex.mesh.elements import QUADRATURE, unit_mass
 from physconvex.mesh.embedding import continued_shape_values, locate
-from physconvex.mesh.signed_distance import surface_distance
-from physconvex.mesh.surfaces import enclosed_volume
+from physconvex.mesh.surfaces import enclosed_volume, surface_distance
 from physconvex.mesh.tet_mesh import Filling, TetMesh
 
 _POINTS, _PER_ELEMENT = 20_000, 60  # inside the surface, at least

@@ -12,7 +12,7 @@ import numpy as np
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.mesh.surface_fitting import with_volume
 from physconvex.mesh.surfaces import enclosed_volume
-from physconvex.mesh.tet_mesh import TetMesh, compact, mean_ratios, to_quadratic
+from physconvex.mesh.tet_mesh import TetMesh, compact, mean_ratios, oriented, signed_volumes, to_quadratic
 
 # Flatter elements make the stiffness matrix ill-conditioned.
 MIN_MEAN_RATIO = 0.02
@@ -149,9 +149,9 @@ def fill(vertices: np.ndarray, faces: np.ndarray, resolution: Resolution) -> Tet
         if not was_there:
             left_behind.unlink(missing_ok=True)
     nodes = np.asarray(nodes, dtype=np.float64).reshape(-1, 3)
-    tets = _positive(nodes, np.asarray(tets, dtype=np.int64).reshape(-1, 4))
+    tets = oriented(nodes, np.asarray(tets, dtype=np.int64).reshape(-1, 4))
     least = LEAST_THICKNESS * resolution.epsilon * diagonal_of(vertices) * _area(vertices, faces)
-    if _volume(nodes, tets) * scale**3 < least:
+    if signed_volumes(nodes, tets).sum() * scale**3 < least:
         raise _NothingEnclosedError(
             "surface: it encloses no volume that a mesh of this resolution could fill; "
             "close its holes, orient its faces outwards, or lower epsilon"
@@ -165,11 +165,6 @@ def fill(vertices: np.ndarray, faces: np.ndarray, resolution: Resolution) -> Tet
     return compact(nodes * scale + centre, tets)
 
 
-def _volume(vertices: np.ndarray, tets: np.ndarray) -> float:
-    x = vertices[tets]
-    return float(np.linalg.det(x[:, 1:] - x[:, :1]).sum()) / 6.0
-
-
 def diagonal_of(vertices: np.ndarray) -> float:
     """Diagonal of the bounding box [m]."""
     return float(np.linalg.norm(np.ptp(vertices, axis=0)))
@@ -178,10 +173,3 @@ def diagonal_of(vertices: np.ndarray) -> float:
 def _area(vertices: np.ndarray, faces: np.ndarray) -> float:
     x = vertices[faces]
     return 0.5 * float(np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum())
-
-
-def _positive(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """The tetrahedra with two corners swapped wherever the orientation is negative."""
-    x = vertices[tets]
-    negative = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
-    return np.where(negative[:, None], tets[:, [0, 2, 1, 3]], tets)

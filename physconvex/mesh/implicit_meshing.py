@@ -14,7 +14,7 @@ from physconvex.mesh.embedding import Embedding
 from physconvex.mesh.stuffing import SignedDistance, stuff
 from physconvex.mesh.surface_fitting import fit_to_surface, with_volume
 from physconvex.mesh.surfaces import enclosed_volume
-from physconvex.mesh.tet_mesh import TetMesh, compact, mean_ratios, to_quadratic
+from physconvex.mesh.tet_mesh import FACE_CORNERS, TetMesh, compact, mean_ratios, node_count, to_quadratic
 
 # Cells along the longest edge of the grid that replaces the distance function, and of the lattice for a missing
 # surface.
@@ -189,7 +189,7 @@ def _stuffed(
         except InputError:  # thinner than the lattice everywhere
             cell *= 0.8
             continue
-        count, mesh = node_count(pieces, order), largest_piece(pieces)
+        count, mesh = node_count(pieces.vertices, pieces.tets, order), largest_piece(pieces)
         if mesh is not None and most < count <= max_nodes:
             if not same_topology or euler_characteristic(mesh.boundary_faces) == target.euler:
                 best, most = mesh, count
@@ -198,11 +198,6 @@ def _stuffed(
         # To 93 % of the budget if fewer nodes resolve the body, else to another size.
         cell *= float(np.clip((count / (0.93 * max_nodes)) ** (1 / 2.4), 0.8, 1.3)) * (0.97 if mesh is None else 1.0)
     return best
-
-
-def node_count(mesh: TetMesh, order: Literal[1, 2]) -> int:
-    """Number of nodes of the linear `mesh` after conversion to the given order."""
-    return len(mesh.vertices) if order == 1 else len(to_quadratic(mesh).vertices)
 
 
 def _deviation(mesh: TetMesh, target: _Target) -> float:
@@ -217,7 +212,7 @@ def largest_piece(mesh: TetMesh, *, share: float = 0.98) -> TetMesh | None:
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
-    faces = np.sort(mesh.corner_tets[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]], axis=2).reshape(-1, 3)
+    faces = np.sort(mesh.corner_tets[:, FACE_CORNERS], axis=2).reshape(-1, 3)
     _, face = np.unique(faces, axis=0, return_inverse=True)
     count, elements = len(mesh.tets), np.repeat(np.arange(len(mesh.tets)), 4)
     total = count + int(face.max()) + 1

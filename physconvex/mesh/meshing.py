@@ -12,15 +12,16 @@ from functools import partial
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from physconvex.errors import ConvergenceError, InputError
+from physconvex.mesh.embedding import locate
 from physconvex.mesh.ftetwild import Resolution, diagonal_of, fill, fill_within
 from physconvex.mesh.implicit_meshing import tetrahedralize_implicit
 from physconvex.mesh.mesh_cache import cached_mesh, cached_or_made
-from physconvex.mesh.signed_distance import overlap, surface_distance
 from physconvex.mesh.stuffing import SignedDistance
 from physconvex.mesh.surface_fitting import with_volume
-from physconvex.mesh.surfaces import enclosed_volume, with_fewer_triangles
+from physconvex.mesh.surfaces import enclosed_volume, overlap, surface_distance, with_fewer_triangles
 from physconvex.mesh.tet_mesh import TetMesh, to_quadratic
 
 # Share of the joint volume of body and mesh in both: sufficient for the lattice's mesh, and for fTetWild's.
@@ -29,6 +30,9 @@ ENOUGH, ALMOST = 0.9, 0.8
 # the diagonal, number of coarser trials, and number of small meshes if the first has less than ENOUGH of the body:
 # fTetWild gives another one each time, of a slab on legs with 0.88 to 0.99.
 NODES_PER_TRIANGLE, SIMPLIFIED_EPSILON, SIMPLIFICATIONS, DRAWS = {1: 0.7, 2: 3.2}, 0.01, 6, 4
+# Of meshes of few nodes: factors on the requested number; sufficient mismatch, as a share of the volume, and as one of
+# the size if the surface is open; vertices at which that is measured.
+_GROWTH, _GOOD, _GOOD_OPEN, _SAMPLES = (1.0, 2.0), 0.25, 0.03, 600
 
 
 @runtime_checkable
@@ -64,7 +68,7 @@ def tetrahedralize(
     its generalised winding number exceeds one half. The mesh differs a little from run to run (also with one thread).
     With `method="lattice"` equal arguments give equal meshes; the surface must be closed. `method="simplified"` fills a
     simplified closed surface of few triangles by fTetWild. `method="auto"` takes the lattice if it succeeds and shares
-    enough of its volume with the body (`surface_distance.overlap`). Otherwise it takes the better one of the lattice
+    enough of its volume with the body (`overlap`). Otherwise it takes the better one of the lattice
     and fTetWild, and also tries the simplified surface if both lose much. Meshes of fTetWild are kept in the cache
     folder (`physconvex.kernels.build.cache_folder`), so that they are reproducible.
 
@@ -123,6 +127,47 @@ def tetrahedralize(
         return ways[method]()
     settings = (length, epsilon, max_nodes, order, match_volume, thorough, max_iterations)
     return _best_mesh(vertices, faces, ways, thorough, settings)
+
+
+def mesh_of_few_nodes(
+    vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"], *, max_nodes: int
+) -> TetMesh:
+    """Quadratic tetrahedra of a surface with at most `max_nodes` nodes, or more if this loses parts of the body.
+
+    Meshes that are too coarse lose thin parts. In this case up to twice the nodes are tried. The first mesh that is
+    accurate enough is taken, else the most accurate one.
+
+    Raises:
+        InputError: the surface encloses no volume.
+        ConvergenceError: no mesh is found.
+    """
+    found: list[tuple[float, TetMesh]] = []
+    failures: list[ConvergenceError] = []
+    good = _GOOD if enclosed_volume(vertices, triangles) is not None else _GOOD_OPEN
+    for growth in _GROWTH:
+        try:
+            mesh = tetrahedralize((vertices, triangles), max_nodes=round(growth * max_nodes), order=2, method="auto")
+        except ConvergenceError as error:
+            failures.append(error)
+            continue
+        found.append((shape_mismatch(mesh, vertices, triangles), mesh))
+        if found[-1][0] < good:
+            break
+    if not found:
+        raise failures[-1]
+    return min(found, key=lambda pair: pair[0])[1]
+
+
+def shape_mismatch(mesh: TetMesh, vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> float:
+    """Share of the joint volume of body and mesh that belongs to only one of them.
+
+    For an open surface: the rms distance of its vertices from the mesh, relative to its size.
+    """
+    if enclosed_volume(vertices, triangles) is not None:
+        return 1.0 - overlap(mesh, vertices, triangles)
+    stride = max(1, len(vertices) // _SAMPLES)
+    away = locate(mesh, vertices[np.unique(triangles)][::stride])[3]
+    return float(np.sqrt(np.square(away).mean())) / float(np.ptp(vertices, axis=0).max())
 
 
 def _best_mesh(

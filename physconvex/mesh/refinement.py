@@ -6,21 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import InputError
-from physconvex.mesh.tet_mesh import EDGE_CORNERS, TetMesh, linear_part, to_quadratic
+from physconvex.mesh.tet_mesh import TetMesh, linear_part, mesh_edges, node_count, oriented, to_quadratic
 
 _EQUAL = 1.0 + 1e-9  # ratio of lengths up to which edges count as equally long
 # The eight children of a tetrahedron in terms of its ten quadratic nodes (Bey's red refinement).
 CHILDREN = np.array(
-    [
-        [0, 4, 6, 7],
-        [4, 1, 5, 8],
-        [6, 5, 2, 9],
-        [7, 8, 9, 3],
-        [4, 6, 7, 8],
-        [4, 5, 6, 8],
-        [6, 7, 8, 9],
-        [5, 6, 8, 9],
-    ]
+    [[0, 4, 6, 7], [4, 1, 5, 8], [6, 5, 2, 9], [7, 8, 9, 3], [4, 6, 7, 8], [4, 5, 6, 8], [6, 7, 8, 9], [5, 6, 8, 9]]
 )
 
 
@@ -28,10 +19,7 @@ def refine_uniformly(mesh: TetMesh) -> TetMesh:
     """Each tetrahedron split into eight (Bey 1995); same geometry, same order; a filling is dropped."""
     quadratic = to_quadratic(TetMesh(mesh.vertices, mesh.tets) if mesh.order == 1 else linear_part(mesh))
     children = quadratic.tets[:, CHILDREN].reshape(-1, 4)
-    x = quadratic.vertices[children]
-    flipped = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
-    children[flipped] = children[flipped][:, [0, 2, 1, 3]]
-    fine = TetMesh(quadratic.vertices, children)
+    fine = TetMesh(quadratic.vertices, oriented(quadratic.vertices, children))
     return fine if mesh.order == 1 else to_quadratic(fine)
 
 
@@ -55,26 +43,15 @@ def refine_locally(mesh: TetMesh, spacing: Float[np.ndarray, " V"], *, max_nodes
     best = linear_part(mesh)
     spacing = spacing[np.unique(mesh.corner_tets)]  # in the order of `linear_part`
     vertices, tets = best.vertices, best.tets
-    while _node_count(vertices, tets, mesh.order) <= max_nodes:
+    while node_count(vertices, tets, mesh.order) <= max_nodes:
         best = TetMesh(vertices, tets)
         vertices, tets, spacing = _bisected(vertices, tets, spacing)
     return to_quadratic(best) if mesh.order == 2 else best
 
 
-def _node_count(vertices: np.ndarray, tets: np.ndarray, order: int) -> int:
-    return len(vertices) if order == 1 else len(vertices) + len(_edges(tets)[0])
-
-
-def _edges(tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The edges [N, 2], and which of them the six of each tetrahedron are [E, 6]."""
-    all_edges = np.sort(tets[:, EDGE_CORNERS], axis=2).reshape(-1, 2)
-    edges, index = np.unique(all_edges, axis=0, return_inverse=True)
-    return edges, index.reshape(-1, 6)
-
-
 def _bisected(vertices: np.ndarray, tets: np.ndarray, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Vertices, tetrahedra and spacings after one bisection."""
-    edges, of_tet = _edges(tets)
+    edges, of_tet = mesh_edges(tets)
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
     edge = int(np.argmax(length / spacing[edges].mean(axis=1)))
     while True:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from physconvex.errors import InputError
-from physconvex.mesh.tet_mesh import EDGE_CORNERS, TetMesh, compact
+from physconvex.mesh.tet_mesh import TetMesh, compact, mesh_edges, oriented
 
 # Distance from points [N, 3] to a surface, negative inside; shape [N], metres.
 SignedDistance = Callable[[Float[np.ndarray, "N 3"]], Float[np.ndarray, " N"]]
@@ -51,7 +51,7 @@ def stuff(
     vertices, tets = _lattice(bounds + cell * np.asarray(offset), cell)
     values = np.asarray(signed_distance(vertices), dtype=np.float64) - level
     tets = tets[(values[tets] < 0).any(axis=1)]
-    edges = np.unique(np.sort(tets[:, EDGE_CORNERS], axis=2).reshape(-1, 2), axis=0)
+    edges = mesh_edges(tets)[0]
     edges = edges[values[edges[:, 0]] * values[edges[:, 1]] < 0]
     fraction = _roots(signed_distance, level, vertices, values, edges)
     long = np.isclose(np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1), cell)
@@ -172,10 +172,7 @@ def _trim(vertices: np.ndarray, values: np.ndarray, tets: np.ndarray, cuts: _Cut
     result, everything = np.concatenate(parts), np.concatenate([vertices, cuts.points])
     if len(result) == 0:
         raise InputError("cell: the body is thinner than the lattice everywhere; take a smaller cell")
-    x = everything[result]
-    volume = np.linalg.det(x[:, 1:] - x[:, :1])
-    result = np.where((volume < 0)[:, None], result[:, [0, 2, 1, 3]], result)
-    return compact(everything, result)
+    return compact(everything, oriented(everything, result))
 
 
 def _pyramid(apex: np.ndarray, base: list[np.ndarray], rank: Int[np.ndarray, " N"]) -> list[Int[np.ndarray, "E 4"]]:

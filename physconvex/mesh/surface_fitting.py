@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
@@ -16,6 +18,8 @@ REGULAR_INVERSE = np.linalg.inv(
 )
 # Weight of the squared distances (relative to the element size) against the mean element distortion.
 DISTANCE_WEIGHT = 40.0
+# L-BFGS steps per pairing, and steps to a volume.
+ITERATIONS, VOLUME_STEPS = 12, 5
 # Triangles tried for each surface point, nearest centres first.
 CANDIDATES = 16
 
@@ -26,7 +30,6 @@ def fit_to_surface(
     normals: Float[np.ndarray, "S 3"],
     *,
     rounds: int = 6,
-    iterations: int = 12,
 ) -> TetMesh:
     """Move all nodes so that the boundary follows a surface and the elements stay close to regular.
 
@@ -39,7 +42,6 @@ def fit_to_surface(
         points: points of the surface [m].
         normals: outward unit normals there.
         rounds: number of pairings.
-        iterations: L-BFGS steps per pairing.
     """
     scale = float(np.cbrt(mesh.element_volumes.mean() * 6 * np.sqrt(2)))
     tree, faces, x = cKDTree(points), mesh.boundary_faces, mesh.vertices.copy()
@@ -47,11 +49,12 @@ def fit_to_surface(
     for _ in range(rounds):
         nearest = tree.query(x[nodes])[1]
         triangle, weight = _nearest_on_boundary(x[faces], points)
+        outward = np.concatenate([normals[nearest], normals])
         terms = _PlaneTerms(
             nodes=np.concatenate([np.column_stack([nodes] * 3), faces[triangle]]),
             weights=np.concatenate([np.tile([1.0, 0.0, 0.0], (len(nodes), 1)), weight]),
-            targets=np.concatenate([points[nearest], points]),
-            normals=np.concatenate([normals[nearest], normals]),
+            normals=outward,
+            offsets=np.einsum("na,na->n", outward, np.concatenate([points[nearest], points])),
             factors=np.concatenate([np.full(len(nodes), 0.5 / len(nodes)), np.full(len(points), 0.5 / len(points))]),
         )
         result = minimize(
@@ -60,7 +63,7 @@ def fit_to_surface(
             args=(mesh.tets, terms, scale),
             jac=True,
             method="L-BFGS-B",
-            options={"maxiter": iterations, "maxcor": 20},
+            options={"maxiter": ITERATIONS, "maxcor": 20},
         )
         candidate = result.x.reshape(-1, 3)
         if not np.isfinite(result.fun) or result.fun >= INVERTED:
@@ -72,19 +75,15 @@ def fit_to_surface(
 INVERTED = 1e12
 
 
+@dataclass(frozen=True)
 class _PlaneTerms:
-    """Squared distances of weighted triples of nodes from planes."""
+    """Squared distances of weighted triples of nodes from planes with these unit normals and offsets [m]."""
 
-    def __init__(
-        self,
-        nodes: np.ndarray,
-        weights: np.ndarray,
-        targets: np.ndarray,
-        normals: np.ndarray,
-        factors: np.ndarray,
-    ) -> None:
-        self.nodes, self.weights, self.normals, self.factors = nodes, weights, normals, factors
-        self.offsets = np.einsum("na,na->n", normals, targets)
+    nodes: np.ndarray
+    weights: np.ndarray
+    normals: np.ndarray
+    offsets: np.ndarray
+    factors: np.ndarray
 
     def value(self, x: np.ndarray, scale: float, gradient: np.ndarray) -> float:
         """Weighted mean of the squared distances; adds the derivative to `gradient`."""
@@ -110,15 +109,9 @@ def _distortion(x: np.ndarray, tets: np.ndarray, gradient: np.ndarray) -> float:
     """Mean of tr(FᵀF) / (3 det(F)^(2/3)) over the elements; adds the derivative to `gradient`."""
     edges = np.swapaxes(x[tets[:, 1:]] - x[tets[:, :1]], 1, 2)  # columns
     f = edges @ REGULAR_INVERSE
-    cofactor = np.stack(
-        [
-            np.cross(f[:, :, 1], f[:, :, 2]),
-            np.cross(f[:, :, 2], f[:, :, 0]),
-            np.cross(f[:, :, 0], f[:, :, 1]),
-        ],
-        axis=2,
-    )
-    determinant = np.einsum("ea,ea->e", f[:, :, 0], cofactor[:, :, 0])
+    a, b, c = np.moveaxis(f, 2, 0)
+    cofactor = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+    determinant = np.einsum("ea,ea->e", a, cofactor[:, :, 0])
     if determinant.min() <= 0:
         return INVERTED
     trace, power = np.einsum("eab,eab->e", f, f), determinant ** (-2 / 3)
@@ -126,8 +119,8 @@ def _distortion(x: np.ndarray, tets: np.ndarray, gradient: np.ndarray) -> float:
     slope = (2 / 3) * (power[:, None, None] * f - (value / determinant)[:, None, None] * cofactor)
     per_edge = np.swapaxes(slope @ REGULAR_INVERSE.T, 1, 2) / len(tets)  # [E, edge, axis]
     corners = np.concatenate([-per_edge.sum(axis=1, keepdims=True), per_edge], axis=1)
-    for a in range(3):
-        gradient[:, a] += np.bincount(tets.ravel(), corners[..., a].ravel(), minlength=len(x))
+    for axis in range(3):
+        gradient[:, axis] += np.bincount(tets.ravel(), corners[..., axis].ravel(), minlength=len(x))
     return float(value.mean())
 
 
@@ -141,7 +134,7 @@ def _nearest_on_boundary(triangles: np.ndarray, points: np.ndarray) -> tuple[np.
     return near[rows, best], weights[rows, best]
 
 
-def with_volume(mesh: TetMesh, volume: float, *, iterations: int = 5) -> TetMesh:
+def with_volume(mesh: TetMesh, volume: float) -> TetMesh:
     """`mesh` with its boundary moved along the normals until it encloses `volume` [m³].
 
     Steps that make an element flatter than half its previous mean ratio are shortened, so that the volume is reached as
@@ -153,7 +146,7 @@ def with_volume(mesh: TetMesh, volume: float, *, iterations: int = 5) -> TetMesh
     faces = linear.boundary_faces[:, :3]
     x = linear.vertices.copy()
     floor = np.minimum(0.5 * mean_ratios(x, linear.tets), 0.2)
-    for _ in range(iterations):
+    for _ in range(VOLUME_STEPS):
         current = np.linalg.det(x[linear.tets[:, 1:]] - x[linear.tets[:, :1]]).sum() / 6.0
         if abs(current / volume - 1) < 1e-6:
             break

@@ -110,8 +110,7 @@ class TetMesh:
     @cached_property
     def element_volumes(self) -> Float[np.ndarray, " E"]:
         """Volume of each (straight-edged) element [m³]."""
-        x = self.vertices[self.corner_tets]
-        return np.linalg.det(x[:, 1:] - x[:, :1]) / 6.0
+        return signed_volumes(self.vertices, self.tets)
 
     @property
     def volume(self) -> float:
@@ -157,15 +156,25 @@ def compact(vertices: np.ndarray, tets: np.ndarray) -> TetMesh:
     return TetMesh(vertices[used], tets.reshape(-1, tets.shape[-1]))
 
 
+def mesh_edges(tets: Int[np.ndarray, "E n"]) -> tuple[Int[np.ndarray, "N 2"], Int[np.ndarray, "E 6"]]:
+    """The edges between corners, lower number first, and which of them the six of each tetrahedron are."""
+    every = np.sort(tets[:, EDGE_CORNERS], axis=2).reshape(-1, 2)
+    edges, index = np.unique(every, axis=0, return_inverse=True)
+    return edges, index.reshape(-1, 6)
+
+
 def to_quadratic(mesh: TetMesh) -> TetMesh:
     """The same geometry with quadratic elements, one node in the middle of every edge; a filling is dropped."""
     if mesh.order == 2:
         return mesh
-    edges = np.sort(mesh.tets[:, EDGE_CORNERS], axis=2).reshape(-1, 2)
-    unique, inverse = np.unique(edges, axis=0, return_inverse=True)
-    middles = mesh.vertices[unique].mean(axis=1)
-    tets = np.hstack([mesh.tets, len(mesh.vertices) + inverse.reshape(-1, 6)])
-    return TetMesh(np.vstack([mesh.vertices, middles]), tets)
+    edges, index = mesh_edges(mesh.tets)
+    vertices = np.vstack([mesh.vertices, mesh.vertices[edges].mean(axis=1)])
+    return TetMesh(vertices, np.hstack([mesh.tets, len(mesh.vertices) + index]))
+
+
+def node_count(vertices: np.ndarray, tets: Int[np.ndarray, "E 4"], order: int) -> int:
+    """Number of nodes of a linear mesh after conversion to the given order."""
+    return len(vertices) if order == 1 else len(vertices) + len(mesh_edges(tets)[0])
 
 
 def linear_part(mesh: TetMesh) -> TetMesh:
@@ -189,21 +198,27 @@ def box_mesh(
     corner = index[:-1, :-1, :-1].ravel() + odd @ step  # of the first node of each cell
     ways = 1 - 2 * odd
     paths = np.array([[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [1, 0, 2], [2, 1, 0]])
-    tets = []
-    for path in paths:
-        walk = np.cumsum((ways * step)[:, path], axis=1)
-        found = corner[:, None] + np.concatenate([np.zeros_like(corner[:, None]), walk], axis=1)
-        turned = ways.prod(1) * np.linalg.det(np.eye(3)[path]) < 0
-        found[turned] = found[turned][:, [0, 2, 1, 3]]
-        tets.append(found)
-    mesh = TetMesh(grid.reshape(-1, 3), np.concatenate(tets))
+    walks = np.concatenate([np.cumsum((ways * step)[:, path], axis=1) for path in paths])
+    tets = np.tile(corner, len(paths))[:, None] + np.hstack([np.zeros((len(walks), 1), dtype=walks.dtype), walks])
+    vertices = grid.reshape(-1, 3)
+    mesh = TetMesh(vertices, oriented(vertices, tets))
     return to_quadratic(mesh) if order == 2 else mesh
+
+
+def signed_volumes(vertices: Float[np.ndarray, "V 3"], tets: Int[np.ndarray, "E n"]) -> Float[np.ndarray, " E"]:
+    """Volumes of tetrahedra [m³], negative where the orientation is."""
+    x = vertices[tets[:, :4]]
+    return np.linalg.det(x[:, 1:] - x[:, :1]) / 6.0
+
+
+def oriented(vertices: Float[np.ndarray, "V 3"], tets: Int[np.ndarray, "E 4"]) -> Int[np.ndarray, "E 4"]:
+    """The tetrahedra with two corners swapped wherever the orientation is negative."""
+    return np.where(signed_volumes(vertices, tets)[:, None] < 0, tets[:, [0, 2, 1, 3]], tets)
 
 
 def mean_ratios(vertices: Float[np.ndarray, "V 3"], tets: Int[np.ndarray, "E n"]) -> Float[np.ndarray, " E"]:
     """12 (3V)^(2/3) / Σ edge², with the sign of V: 1 if regular, ≤ 0 if inverted (Liu and Joe 1994)."""
-    x = vertices[tets[:, :4]]
-    volume = np.linalg.det(x[:, 1:] - x[:, :1]) / 6.0
+    x, volume = vertices[tets[:, :4]], signed_volumes(vertices, tets)
     edges = x[:, EDGE_CORNERS[:, 0]] - x[:, EDGE_CORNERS[:, 1]]
     squares = np.einsum("eka,eka->e", edges, edges)
     return 12.0 * np.sign(volume) * np.cbrt(3.0 * np.abs(volume)) ** 2 / np.maximum(squares, np.finfo(float).tiny)

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from physconvex import ConvergenceError
-from physconvex.mesh import TetMesh, box_mesh, coarse_meshing, mesh_of_few_nodes, shape_mismatch, to_quadratic
+from physconvex.mesh import TetMesh, box_mesh, mesh_of_few_nodes, meshing, shape_mismatch, to_quadratic
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_more_nodes_are_tried_until_the_body_is_there(box, monkeypatch):
             raise made[max_nodes]
         return made[max_nodes]
 
-    monkeypatch.setattr(coarse_meshing, "tetrahedralize", tetrahedralize)
+    monkeypatch.setattr(meshing, "tetrahedralize", tetrahedralize)
     assert mesh_of_few_nodes(*box, max_nodes=10) is made[20]  # neither is good: the better one
     assert asked == [10, 20]
     made[10] = meshed(0.7)
@@ -59,5 +59,5 @@ def test_near_an_open_surface_means_nearer_than_a_share_of_the_volume(box, monke
     vertices, faces = box
     lid = (np.abs(vertices[faces][..., 2] - 0.1) < 1e-9).all(1)
     made = {10: meshed(np.array([0.9, 1.0, 1.0])), 20: meshed(1.0)}  # .07 of the size off, and not at all
-    monkeypatch.setattr(coarse_meshing, "tetrahedralize", lambda surface, *, max_nodes, order, method: made[max_nodes])
+    monkeypatch.setattr(meshing, "tetrahedralize", lambda surface, *, max_nodes, order, method: made[max_nodes])
     assert mesh_of_few_nodes(vertices, faces[~lid], max_nodes=10) is made[20]
