@@ -1,4 +1,5 @@
-from .field import ConvexField as ConvexField
+from .field import ConvexField as ConvexField, FreeParameters as FreeParameters
+from .files import hull_mesh as hull_mesh, read_ply as read_ply, write_glb as write_glb, write_ply as write_ply
 from .halfspaces import (
     HalfSpaces as HalfSpaces,
     half_spaces as half_spaces,
@@ -6,7 +7,6 @@ from .halfspaces import (
     occupancy as occupancy,
 )
 from .merging import merge as merge
-from .mesh import hull_mesh as hull_mesh, write_glb as write_glb
 from .motion import (
     BoundField as BoundField,
     DeformationMap as DeformationMap,
@@ -18,13 +18,7 @@ from .motion import (
     space_map as space_map,
     tet_map as tet_map,
 )
-from .parameters import FreeParameters as FreeParameters
-from .ply import read_ply as read_ply, write_ply as write_ply
-from .solidity import (
-    inside_union as inside_union,
-    occupancies as occupancies,
-    union_volume as union_volume,
-)
+from .solidity import inside_union as inside_union, occupancies as occupancies, union_volume as union_volume
 from .spherical_harmonics import (
     coefficients_of_colour as coefficients_of_colour,
     harmonic_basis as harmonic_basis,

@@ -1,10 +1,11 @@
-"""The convex field: an object as a set of coloured, soft-edged convex hulls."""
+"""The convex field: an object as a set of coloured, soft-edged convex hulls; its coordinates for optimisers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -15,8 +16,14 @@ from physconvex.errors import InputError
 LEAST_POINTS = 4  # fewer enclose no volume
 
 
+class _Tensors:
+    def tensors(self) -> tuple[Tensor, ...]:
+        """All attributes, in the order of their declaration."""
+        return tuple(vars(self).values())
+
+
 @dataclass(frozen=True, eq=False)
-class ConvexField:
+class ConvexField(_Tensors):
     """N convexes, each the hull of K ≥ 4 points, in the world frame.
 
     Occupancy of one convex (3D Convex Splatting, Held et al. 2025), in space with signed distances f_h [m] to the faces
@@ -68,10 +75,6 @@ class ConvexField:
     def __len__(self) -> int:
         return len(self.points)
 
-    def tensors(self) -> tuple[Tensor, ...]:
-        """All attributes, in the order of their declaration."""
-        return tuple(getattr(self, entry.name) for entry in fields(self))
-
     @property
     def degree(self) -> int:
         """Degree of the spherical harmonics."""
@@ -117,3 +120,39 @@ class ConvexField:
                 raise InputError(f"{name}: got {float(getattr(self, name).min())}; expected positive numbers")
         if (self.opacity < 0).any() or (self.opacity > 1).any():
             raise InputError("opacity: expected numbers from 0 to 1")
+
+
+@dataclass(frozen=True, eq=False)
+class FreeParameters(_Tensors):
+    """The attributes of a `ConvexField`, the bounded ones transformed so that any real number is valid.
+
+    Attributes:
+        points: as they are [m].
+        log_smoothness: natural logarithm of α [1/m].
+        log_sharpness: natural logarithm of β.
+        logit_opacity: log(σ / (1 − σ)) of the opacity σ.
+        harmonics: as they are.
+    """
+
+    points: Float[Tensor, "N K 3"]
+    log_smoothness: Float[Tensor, " N"]
+    log_sharpness: Float[Tensor, " N"]
+    logit_opacity: Float[Tensor, " N"]
+    harmonics: Float[Tensor, "N S 3"]
+
+    @classmethod
+    def of(cls, field: ConvexField) -> FreeParameters:
+        """Leaves of a new graph at a field's values; an opacity of exactly 0 or 1 has no finite coordinate."""
+        edges = field.smoothness.log(), field.sharpness.log()
+        values = (field.points, *edges, field.opacity.logit(), field.harmonics)
+        return cls(*(value.detach().clone().requires_grad_() for value in values))
+
+    def field(self) -> ConvexField:
+        """The field, differentiable with respect to the parameters."""
+        edges = self.log_smoothness.exp(), self.log_sharpness.exp()
+        return ConvexField(self.points, *edges, torch.sigmoid(self.logit_opacity), self.harmonics)
+
+
+def numbers(tensor: Tensor) -> np.ndarray:
+    """A tensor as a float64 array, without its graph."""
+    return tensor.detach().cpu().double().numpy()

@@ -10,7 +10,8 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
-from physconvex.convex.field import ConvexField
+from physconvex.convex.field import ConvexField, numbers
+from physconvex.convex.hull_points import outward_faces
 from physconvex.errors import InputError
 
 COPLANAR = 1e-9  # faces closer than this, in units of the convex's size, count once
@@ -49,11 +50,7 @@ def hull_faces(points: Float[np.ndarray, "K 3"]) -> Int[np.ndarray, "H 3"]:
         raise InputError("points: all in one plane; their hull has no volume") from None
     same = np.abs(hull.equations[:, None] - hull.equations).max(axis=2) <= COPLANAR
     keep = np.flatnonzero(same.argmax(axis=1) == np.arange(len(same)))  # the first of each plane
-    faces, outward = hull.simplices[keep], hull.equations[keep, :3]
-    a, b, c = np.moveaxis(centred[faces], 1, 0)
-    flipped = np.einsum("hi,hi->h", np.cross(b - a, c - a), outward) < 0
-    faces[flipped] = faces[flipped][:, ::-1]
-    return faces
+    return outward_faces(hull)[keep]
 
 
 def _with_volume(points: Float[Tensor, "N K 3"]) -> Float[Tensor, "N K 3"]:
@@ -74,7 +71,7 @@ def half_spaces(field: ConvexField) -> HalfSpaces:
     count with a thickness of about a ten-thousandth of their size.
     """
     points = _with_volume(field.points)
-    faces = [hull_faces(some) for some in points.detach().cpu().double().numpy()]
+    faces = [hull_faces(some) for some in numbers(points)]
     most = max(map(len, faces), default=0)
     corners = np.zeros((len(field), most, 3), dtype=np.int64)
     for row, some in zip(corners, faces, strict=True):

@@ -23,11 +23,14 @@ def hull_triangles(points: Float[np.ndarray, "C 3"]) -> tuple[Int[np.ndarray, " 
     """Indices of the corners of a hull with volume, and its triangles as places among them, outward."""
     hull = ConvexHull((points - points.mean(axis=0)) / _scale(points))
     corners = np.sort(hull.vertices)
-    faces = hull.simplices.copy()
-    a, b, c = np.moveaxis(hull.points[faces], 1, 0)
+    return corners, np.searchsorted(corners, outward_faces(hull))
+
+
+def outward_faces(hull: ConvexHull) -> Int[np.ndarray, "F 3"]:
+    """Triangles of a hull, anticlockwise seen from outside."""
+    a, b, c = np.moveaxis(hull.points[hull.simplices], 1, 0)
     inward = np.einsum("fi,fi->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
-    faces[inward] = faces[inward][:, ::-1]
-    return corners, np.searchsorted(corners, faces)
+    return np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
 
 
 def cut_points(

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from physconvex.convex.field import ConvexField
+from physconvex.convex.field import ConvexField, numbers
 from physconvex.convex.hull_points import corners_of, fewer_points, hull_volume, padded_points
 from physconvex.convex.splitting import Division
 from physconvex.errors import InputError
@@ -41,9 +41,9 @@ def merge(
     """
     if volume_tolerance < 0 or colour_tolerance < 0:
         raise InputError(f"tolerances: got {volume_tolerance} and {colour_tolerance}; expected at least 0")
-    points = field.points.detach().cpu().double().numpy()
+    points = numbers(field.points)
     volumes = np.array([hull_volume(some) for some in points])
-    colours = field.harmonics.detach().cpu().double().flatten(1).numpy()
+    colours = numbers(field.harmonics.flatten(1))
     free = np.ones(len(field), dtype=bool)
     pairs: list[_Pair] = []
     for first, second in _neighbours(points.mean(axis=1)).tolist():

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.sparse import csr_matrix
 from torch import Tensor
 
-from physconvex.convex.field import ConvexField
+from physconvex.convex.field import ConvexField, numbers
 from physconvex.convex.spherical_harmonics import rotate_harmonics
 from physconvex.errors import InputError
 from physconvex.mesh import Embedding, TetMesh, locate, shape_gradients
@@ -96,8 +96,8 @@ def bind_to_tets(field: ConvexField, mesh: TetMesh) -> BoundField:
 
     `BoundField.at` then takes nodal positions [V, 3], such as `Trajectory.positions[t]`.
     """
-    embedding = Embedding.of_points(mesh, _numbers(field.points).reshape(-1, 3))
-    return BoundField(field, embedding.matrix, _tet_gradients(mesh, _numbers(field.centres)), embedding.max_distance)
+    embedding = Embedding.of_points(mesh, numbers(field.points).reshape(-1, 3))
+    return BoundField(field, embedding.matrix, _tet_gradients(mesh, numbers(field.centres)), embedding.max_distance)
 
 
 def _tet_gradients(mesh: TetMesh, points: Float[np.ndarray, "P 3"]) -> csr_matrix:
@@ -117,8 +117,8 @@ def bind_to_space(field: ConvexField, space: ReducedSpace) -> BoundField:
 
     `BoundField.at` then takes its coordinates [R, 3], such as `ReducedTrajectory.coordinates[t]`.
     """
-    gradients = np.swapaxes(space.shape_gradients(_numbers(field.centres)), 1, 2)  # [N, 3, R]
-    values = space.shape_values(_numbers(field.points).reshape(-1, 3))
+    gradients = np.swapaxes(space.shape_gradients(numbers(field.centres)), 1, 2)  # [N, 3, R]
+    values = space.shape_values(numbers(field.points).reshape(-1, 3))
     return BoundField(field, values, gradients.reshape(-1, gradients.shape[2]))
 
 
@@ -126,7 +126,7 @@ def space_map(space: ReducedSpace, coordinates: Float[np.ndarray, "R 3"]) -> Def
     """The deformation of a reduced body at coordinates y [m]: x = Σ_a N_a(X) y_a with its gradient."""
 
     def deform(points: Tensor) -> tuple[Tensor, Tensor]:
-        rest = _numbers(points)
+        rest = numbers(points)
         gradients = np.einsum("pri,rk->pki", space.shape_gradients(rest), coordinates)
         return torch.as_tensor(space.shape_values(rest) @ coordinates).to(points), torch.as_tensor(gradients).to(points)
 
@@ -137,13 +137,9 @@ def tet_map(mesh: TetMesh, positions: Float[np.ndarray, "V 3"]) -> DeformationMa
     """The deformation of a tetrahedral mesh whose nodes are at these positions [m], with its gradient."""
 
     def deform(points: Tensor) -> tuple[Tensor, Tensor]:
-        rest = _numbers(points)
+        rest = numbers(points)
         gradients = (_tet_gradients(mesh, rest) @ positions).reshape(-1, 3, 3).swapaxes(1, 2)
         moved = Embedding.of_points(mesh, rest).apply(positions)
         return torch.as_tensor(moved).to(points), torch.as_tensor(gradients).to(points)
 
     return deform
-
-
-def _numbers(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().cpu().double().numpy()

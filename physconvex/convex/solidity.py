@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from physconvex.convex.field import ConvexField
+from physconvex.convex.field import ConvexField, numbers
 from physconvex.convex.halfspaces import HalfSpaces, half_spaces
 
 PAIRS = 400_000  # point-convex pairs evaluated at once
@@ -43,7 +43,7 @@ def inside_union(
 
 def union_volume(field: ConvexField, *, cells: int = 64) -> float:
     """Volume of the union of the hulls [m³], counted over the centres of cells³ boxes (about 0.1 % at 64)."""
-    points = field.points.detach().cpu().double().reshape(-1, 3).numpy()
+    points = numbers(field.points).reshape(-1, 3)
     low, extent = points.min(axis=0), np.ptp(points, axis=0)
     ticks = (np.arange(cells) + 0.5) / cells
     grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from math import factorial, isqrt, pi, sqrt
+from math import factorial, isqrt, pi, prod, sqrt
 
 import torch
 from jaxtyping import Float
@@ -42,7 +42,7 @@ def harmonic_basis(directions: Float[Tensor, "... 3"], degree: int) -> Float[Ten
     columns: list[Tensor] = [z] * (degree + 1) ** 2
     real, imaginary = torch.ones_like(z), torch.zeros_like(z)
     for order in range(degree + 1):
-        before, legendre = torch.zeros_like(z), torch.ones_like(z) * _odd_product(order)
+        before, legendre = torch.zeros_like(z), torch.ones_like(z) * prod(range(1, 2 * order, 2))
         for level in range(order, degree + 1):
             norm = sqrt((2 * level + 1) / (4 * pi) * factorial(level - order) / factorial(level + order))
             norm *= sqrt(2) if order else 1
@@ -67,14 +67,6 @@ def coefficients_of_colour(colour: Float[Tensor, "N 3"], degree: int = GREATEST_
     coefficients = colour.new_zeros((len(colour), (degree + 1) ** 2, 3))
     coefficients[:, 0] = (colour - MIDDLE) * sqrt(4 * pi)
     return coefficients
-
-
-def _odd_product(order: int) -> float:
-    """1 · 3 · … · (2 order − 1)."""
-    product = 1.0
-    for factor in range(1, 2 * order, 2):
-        product *= factor
-    return product
 
 
 def rotate_harmonics(harmonics: Float[Tensor, "N S 3"], rotations: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N S 3"]:
@@ -105,7 +97,6 @@ def _rule(degree: int) -> tuple[Tensor, Tensor]:
     radius = (1 - z.square()).sqrt()
     directions = torch.stack([radius * angle.cos(), radius * angle.sin(), z], dim=-1)
     basis = harmonic_basis(directions, degree)
-    rows = [
-        torch.linalg.pinv(basis[:, level**2 : (level + 1) ** 2]) for level in range(degree + 1)
-    ]  # each degree alone, since rotations do not mix them
+    # each degree alone, since rotations do not mix them
+    rows = [torch.linalg.pinv(basis[:, level**2 : (level + 1) ** 2]) for level in range(degree + 1)]
     return directions, torch.cat(rows)

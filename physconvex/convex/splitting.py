@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from physconvex.convex.field import LEAST_POINTS, ConvexField
+from physconvex.convex.field import LEAST_POINTS, ConvexField, numbers
 from physconvex.convex.hull_points import cut_points, fewer_points, hull_volume, padded_points
 from physconvex.convex.motion import DeformationMap
 from physconvex.errors import InputError
@@ -84,11 +84,11 @@ def split(
     if which.shape != (len(field),) or which.dtype != torch.bool:
         raise InputError(f"which: got {which.dtype} of shape {tuple(which.shape)}; expected bool [{len(field)}]")
     count = field.points.shape[1]
-    margins = torch.as_tensor(overlap).expand(len(field)).cpu().double().numpy()
+    margins = numbers(torch.as_tensor(overlap).expand(len(field)))
     chosen = which.nonzero()[:, 0]
-    points = field.points.detach().cpu().double().numpy()
+    points = numbers(field.points)
     longest = np.linalg.svd(points - points.mean(axis=1, keepdims=True), full_matrices=False)[2][:, 0]
-    directions = longest if normals is None else normals.detach().cpu().double().numpy()
+    directions = longest if normals is None else numbers(normals)
     parts: list[np.ndarray] = []
     lost = 0.0
     for convex in chosen.tolist():

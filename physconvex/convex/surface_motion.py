@@ -9,7 +9,7 @@ from scipy.optimize import linprog
 from scipy.spatial import HalfspaceIntersection, QhullError
 from torch import Tensor
 
-from physconvex.convex.field import LEAST_POINTS
+from physconvex.convex.field import LEAST_POINTS, numbers
 from physconvex.convex.halfspaces import HalfSpaces
 from physconvex.convex.hull_points import fewer_points, padded_points
 from physconvex.convex.motion import DeformationMap
@@ -47,17 +47,13 @@ def points_of_half_spaces(spaces: HalfSpaces, *, count: int | None = None) -> Fl
     """
     if count is not None and count < LEAST_POINTS:
         raise InputError(f"count: got {count}; expected at least {LEAST_POINTS}")
-    found = []
-    for convex, (normals, offsets) in enumerate(zip(*_arrays(spaces), strict=True)):
+    arrays, found = (numbers(spaces.normals), numbers(spaces.offsets)), []
+    for convex, (normals, offsets) in enumerate(zip(*arrays, strict=True)):
         corners = _corners(normals[np.isfinite(offsets)], offsets[np.isfinite(offsets)], convex)
         found.append(corners if count is None else fewer_points(corners, count))
     most = max([LEAST_POINTS, *map(len, found)]) if count is None else count
     points = np.array([padded_points(some, most) for some in found]).reshape(-1, most, 3)
     return torch.as_tensor(points).to(spaces.normals)
-
-
-def _arrays(spaces: HalfSpaces) -> tuple[np.ndarray, np.ndarray]:
-    return spaces.normals.detach().cpu().double().numpy(), spaces.offsets.detach().cpu().double().numpy()
 
 
 def _corners(normals: np.ndarray, offsets: np.ndarray, convex: int) -> np.ndarray:

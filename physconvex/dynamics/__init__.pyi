@@ -20,12 +20,13 @@ from .integrators import (
     minimise as minimise,
     step_coefficients as step_coefficients,
 )
-from .loads import HangingLoad as HangingLoad, Loads as Loads, Pins as Pins
-from .sensitivity import (
+from .loads import HangingLoad as HangingLoad, Loads as Loads, Pins as Pins, Wind as Wind
+from .simulation import (
+    FrameStates as FrameStates,
     SensitiveTrajectory as SensitiveTrajectory,
+    simulate as simulate,
     simulate_with_sensitivities as simulate_with_sensitivities,
 )
-from .simulation import FrameStates as FrameStates, simulate as simulate
 from .stepping import (
     Observer as Observer,
     PreparedRollOut as PreparedRollOut,
@@ -35,5 +36,4 @@ from .stepping import (
     StepRecord as StepRecord,
 )
 from .timing import ContactSolver as ContactSolver, Timing as Timing
-from .wind import Wind as Wind
 from .world import World as World, in_world as in_world

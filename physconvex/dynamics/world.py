@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.dynamics.contact import Contact, Obstacle, contact_defaults
-from physconvex.dynamics.loads import HangingLoad, Loads, Pins
-from physconvex.dynamics.wind import Wind
+from physconvex.dynamics.loads import HangingLoad, Loads, Pins, Wind
 from physconvex.errors import InputError
 
 Vector = Sequence[float] | Float[np.ndarray, " 3"]

@@ -1,4 +1,4 @@
-from .clamping import Clamp as Clamp, clamp_of as clamp_of
+from .clamping import Clamp as Clamp, HeldRegion as HeldRegion, clamp_of as clamp_of
 from .colours import (
     ColourObservations as ColourObservations,
     blurred as blurred,
@@ -6,32 +6,29 @@ from .colours import (
     seen_by as seen_by,
 )
 from .correction import (
+    FULL_OPTIONS as FULL_OPTIONS,
     Correction as Correction,
     FullRun as FullRun,
     correct as correct,
+    fit_full as fit_full,
     parameter_shift as parameter_shift,
     parameter_shifts as parameter_shifts,
 )
-from .frame_weights import WeightedObservations as WeightedObservations, frame_errors as frame_errors
 from .free_parameters import (
     default_parameters as default_parameters,
     marker_observations as marker_observations,
     start_motion as start_motion,
     with_free_friction as with_free_friction,
 )
-from .full_fit import FULL_OPTIONS as FULL_OPTIONS, fit_full as fit_full
-from .held_region import HeldRegion as HeldRegion
 from .levenberg_marquardt import Fit as Fit, FitOptions as FitOptions, Iteration as Iteration, fit as fit
-from .model import (
-    FullModel as FullModel,
-    ReducedModel as ReducedModel,
-    roll_out_together as roll_out_together,
-)
+from .model import FullModel as FullModel, ReducedModel as ReducedModel, roll_out_together as roll_out_together
 from .model_error import (
     LEFT_BY_FITTED as LEFT_BY_FITTED,
     FinerFit as FinerFit,
+    WeightedObservations as WeightedObservations,
     extrapolated_nodes as extrapolated_nodes,
     fit_finer as fit_finer,
+    frame_errors as frame_errors,
 )
 from .nuisance import MarginalObservations as MarginalObservations, Nuisance as Nuisance
 from .observations import (

@@ -7,7 +7,6 @@ accurate: fits go from coarse to fine. An approximate model gives the frames in 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -169,17 +168,14 @@ class ColourObservations(EvaluatedObservations, PointwiseObservations):
             found = _sampled(self.images[frame], pixels)
             rows = np.zeros((len(points), 3, count))
             if tangents is not None:
-                slopes = np.stack([_sampled(s, pixels) for s in self._slopes(int(frame))], axis=-1)  # [n, 3, 2]
+                by_pixel = (np.gradient(self.images[frame], axis=axis) for axis in (1, 0))
+                slopes = np.stack([_sampled(slope, pixels) for slope in by_pixel], axis=-1)  # [n, 3, 2]
                 by_place = np.nan_to_num(slopes @ camera_jacobian(self.camera, x))
                 rows = np.einsum("nci,kni->nck", by_place, tangents[frame][:, points])
             value, rows = self._balanced(found, self.colours[points], rows)
             residuals.append(value.ravel() / self.sigma)
             jacobian.append(rows.reshape(value.size, count) / self.sigma)
         return np.concatenate(residuals), np.concatenate(jacobian)
-
-    def _slopes(self, frame: int) -> Sequence[np.ndarray]:
-        image = self.images[frame]
-        return [np.gradient(image, axis=1), np.gradient(image, axis=0)]
 
     def _balanced(self, found: np.ndarray, first: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Differences of colours after the fit of a gain and an offset."""

@@ -9,6 +9,10 @@ The shifted model is fitted. D_k starts at zero and follows from the observed di
 first full run is far off (a body that swings out of phase), the shift does not help. Then the parameters are aligned
 first (aggressive space mapping, Bandler et al. 1995): the reduced model is fitted to the full run, which gives θ̃, and
 θ_1 = θ_0 + (θ_0 − θ̃).
+
+The alternative is Levenberg–Marquardt on the full model with its own derivatives (`FullModel.linearise`), from the
+reduced model's fit. If that is far off, a few nearby moduli are tried first: reduced models are too stiff, so that the
+full model usually needs a larger E.
 """
 
 from __future__ import annotations
@@ -21,15 +25,21 @@ from jaxtyping import Float, Int
 
 from physconvex.errors import ConvergenceError
 from physconvex.identify.levenberg_marquardt import Fit, FitOptions, fit
+from physconvex.identify.model import FullModel
 from physconvex.identify.observations import MarkerObservations, Observations, misfit_of
-from physconvex.identify.parameters import Parameter, lower_bounds, step_scales, upper_bounds
+from physconvex.identify.parameter_scan import with_best_modulus
+from physconvex.identify.parameters import Parameter, lower_bounds, starts, step_scales, upper_bounds
 from physconvex.identify.point_models import CorrectedModel, PointModel
 from physconvex.identify.uncertainty import noise_covariance
 from physconvex.numerics import broyden_update
 
 _STEP_DONE = 0.01  # of a typical step: 0.002 decades of E
 _NOISE_DONE = 0.2  # of a standard deviation
-FAR = 3.0  # times the reduced model's misfit
+_INNER = FitOptions(max_iterations=8)
+# a fifth of a standard deviation remains
+FULL_OPTIONS: FitOptions = FitOptions(max_iterations=6, max_step=1.5, absolute_tolerance=0.02)
+_TRIED = (0.1, 0.2, 0.35, -0.1)  # decades of E about the start
+_FAR = 3.0  # times the reduced model's misfit
 _ALIGNED = (0.0, 0.12, -0.12, -0.24, -0.36)  # decades of E; reduced models are too stiff, so that they need a smaller E
 
 
@@ -60,14 +70,7 @@ class Correction:
 
 
 def correct(
-    model: PointModel,
-    full: PointModel,
-    observations: Observations,
-    start: Fit,
-    *,
-    max_runs: int = 4,
-    options: FitOptions | None = None,
-    on_run: Callable[[FullRun], None] | None = None,
+    model: PointModel, full: PointModel, observations: Observations, start: Fit, *, max_runs: int = 4
 ) -> Correction:
     """Fit again, with the difference to the full model included.
 
@@ -79,15 +82,13 @@ def correct(
         observations: the observations.
         start: the fit of `model`.
         max_runs: most runs of the full model.
-        options: of each inner fit.
-        on_run: called after each run of the full model.
 
     Raises:
         ConvergenceError: the full model fails at the start.
     """
     scales, prior = step_scales(start.parameters), _prior(start)
-    options = options or FitOptions(max_iterations=8)
-    values, slope, current = start.values, _no_slope(start), start
+    frames, points, _ = start.positions.shape
+    values, slope, current = start.values, np.zeros((frames, len(start.values), points, 3)), start
     runs: list[FullRun] = []
     best: tuple[float, CorrectedModel, Fit] | None = None
     previous: tuple[np.ndarray, np.ndarray] | None = None
@@ -107,9 +108,7 @@ def correct(
         previous = (values, shift)
         misfit = misfit_of(observations, exact) + prior(values)
         runs.append(FullRun(values, misfit, float(np.sqrt(np.square(shift).sum(-1).mean()))))
-        if on_run is not None:
-            on_run(runs[-1])
-        if len(runs) == 1 and misfit > FAR * start.misfit and max_runs > 1:
+        if len(runs) == 1 and misfit > _FAR * start.misfit and max_runs > 1:
             values = _aligned(model, observations.points, exact, start)
             continue
         corrected = CorrectedModel(model, values, shift, slope)
@@ -118,7 +117,8 @@ def correct(
             if converged := _small(values - best[1].anchor, best[2], scales):
                 break
             continue
-        current = _refit(corrected, observations, start, values, options)
+        nearby = [p.at(float(v)) for p, v in zip(start.parameters, values, strict=True)]
+        current = fit(corrected, observations, nearby, options=replace(_INNER, max_step=1.5))
         best = (misfit, corrected, current)
         step, values = current.values - values, current.values
         if converged := _small(step, current, scales):
@@ -134,26 +134,10 @@ def _aligned(model: PointModel, points: np.ndarray, exact: np.ndarray, start: Fi
     parameters = [
         replace(p, prior_sigma=float("inf")).at(float(v)) for p, v in zip(start.parameters, start.values, strict=True)
     ]
-    found = fit(model, seen, _nearest(model, seen, parameters), options=FitOptions(max_iterations=8))
+    nearest = with_best_modulus(model, seen, parameters, _ALIGNED)
+    found = fit(model, seen, nearest, options=_INNER)
     lower, upper = lower_bounds(parameters), upper_bounds(parameters)
     return np.clip(2 * start.values - found.values, lower, upper)
-
-
-def _nearest(model: PointModel, seen: MarkerObservations, parameters: list[Parameter]) -> list[Parameter]:
-    """The parameters with log10 E at the best of a few nearby values: a swing has one minimum per period."""
-    if "log10_youngs_modulus" not in model.names:
-        return parameters
-    place = model.names.index("log10_youngs_modulus")
-    trials = []
-    for change in _ALIGNED:
-        moved = list(parameters)
-        moved[place] = moved[place].at(moved[place].start + change)
-        values = np.array([p.start for p in moved])
-        try:
-            trials.append((float(np.square(seen.residuals(model.positions(values))).sum()), moved))
-        except ConvergenceError:
-            continue
-    return min(trials, key=lambda trial: trial[0])[1] if trials else parameters
 
 
 def _small(step: np.ndarray, found: Fit, scales: np.ndarray) -> bool:
@@ -161,22 +145,54 @@ def _small(step: np.ndarray, found: Fit, scales: np.ndarray) -> bool:
     return bool((np.abs(step) < limits).all())
 
 
-def _refit(
-    corrected: CorrectedModel, observations: Observations, start: Fit, values: np.ndarray, options: FitOptions
-) -> Fit:
-    parameters = [p.at(float(v)) for p, v in zip(start.parameters, values, strict=True)]
-    return fit(corrected, observations, parameters, options=replace(options, max_step=1.5))
-
-
-def _no_slope(start: Fit) -> np.ndarray:
-    frames, points, _ = start.positions.shape
-    return np.zeros((frames, len(start.values), points, 3))
-
-
 def _prior(start: Fit) -> Callable[[np.ndarray], float]:
     mean = np.array([p.prior_mean for p in start.parameters])
     precision = np.array([1 / p.prior_sigma for p in start.parameters])
     return lambda values: 0.5 * float(np.square((values - mean) * precision).sum())
+
+
+def fit_full(
+    full: PointModel,
+    observations: Observations,
+    start: Fit,
+    *,
+    max_runs: int = 8,
+    options: FitOptions | None = None,
+    look_around: bool = True,
+) -> Correction:
+    """Fit the full model, with its own derivatives.
+
+    Args:
+        full: has the names and points of the model that `start` fits.
+        observations: the observations.
+        start: the fit of the reduced model.
+        max_runs: most states of the full model that are tried.
+        options: further stopping rules.
+        look_around: try a few moduli first if the full model's misfit is far above that of `start`.
+
+    Raises:
+        ConvergenceError: the full model fails at the start and at the nearby moduli.
+    """
+    parameters = tuple(p.at(float(v)) for p, v in zip(start.parameters, start.values, strict=True))
+    first = _positions_at(full, parameters)
+    misfit = np.inf if first is None else misfit_of(observations, first)
+    if look_around and misfit > _FAR * start.misfit:
+        parameters = with_best_modulus(full, observations, parameters, _TRIED, below=misfit)
+    settings = replace(options or FULL_OPTIONS, max_iterations=max_runs)
+    found = fit(full, observations, parameters, options=settings)
+    distance = float("nan") if first is None else float(np.sqrt(np.square(first - start.positions).sum(-1).mean()))
+    runs = [FullRun(state.values, state.misfit, float("nan")) for state in found.history]
+    runs[0] = replace(runs[0], distance=distance)
+    return Correction(found, full, tuple(runs), found.converged)
+
+
+def _positions_at(full: PointModel, parameters: tuple[Parameter, ...]) -> np.ndarray | None:
+    """Positions at a start (None if the model fails), with their derivatives, which the search needs next, if cheap."""
+    values = starts(parameters)
+    try:
+        return full.begun(values) if isinstance(full, FullModel) else full.linearise(values)[0]
+    except ConvergenceError:
+        return None
 
 
 def parameter_shift(found: Fit, change: Sequence[float] | np.ndarray) -> Float[np.ndarray, " K"]:

@@ -18,6 +18,7 @@ MATERIAL = ("log10_youngs_modulus", "poisson_ratio")
 VELOCITY = tuple(f"initial_velocity_{axis}" for axis in "xyz")
 SPIN = tuple(f"initial_angular_velocity_{axis}" for axis in "xyz")
 _FRICTION_START = 0.3
+_FIRST = 4  # frames that tell the initial motion
 
 
 def marker_observations(capture: Capture, *, frames: int | None = None) -> MarkerObservations:
@@ -64,20 +65,14 @@ def default_parameters(
     if not names:
         raise InputError("parameters: all are fixed; leave at least one free")
     values = parameter_values(twin.scene, names)
-    chosen = [default_parameter(name, start=float(v)) for name, v in zip(names, values, strict=True)]
-    for name in priors or {}:
-        if name not in names:
+    chosen = {name: default_parameter(name, start=float(v)) for name, v in zip(names, values, strict=True)}
+    for name, (mean, sigma) in (priors or {}).items():
+        if name not in chosen:
             raise InputError(f"priors: {name!r} is not free; free are {', '.join(names)}")
-    return tuple(_with_prior(p, priors or {}) for p in chosen)
-
-
-def _with_prior(parameter: Parameter, priors: Mapping[str, tuple[float, float]]) -> Parameter:
-    if parameter.name not in priors:
-        return parameter
-    mean, sigma = priors[parameter.name]
-    if not sigma > 0:
-        raise InputError(f"priors: {parameter.name}: got sigma {sigma}; expected a positive number")
-    return replace(parameter, prior_mean=float(mean), prior_sigma=float(sigma))
+        if not sigma > 0:
+            raise InputError(f"priors: {name}: got sigma {sigma}; expected a positive number")
+        chosen[name] = replace(chosen[name], prior_mean=float(mean), prior_sigma=float(sigma))
+    return tuple(chosen.values())
 
 
 def with_free_friction(twin: Twin) -> Twin:
@@ -88,8 +83,8 @@ def with_free_friction(twin: Twin) -> Twin:
     return twin.with_scene(obstacles=obstacles)
 
 
-def start_motion(twin: Twin, observations: MarkerObservations, *, frames: int = 4) -> Twin:
-    """The twin with the initial velocity and spin of the first frames, where the capture states none.
+def start_motion(twin: Twin, observations: MarkerObservations) -> Twin:
+    """The twin with the initial velocity and spin of the first four frames, where the capture states none.
 
     Rigid motion about the centre of mass: least squares on the marker displacements minus ½ g t².
     """
@@ -100,29 +95,19 @@ def start_motion(twin: Twin, observations: MarkerObservations, *, frames: int = 
         return twin
     body = scene.body
     center = body.first_moments @ scene.start / body.total_mass
-    count = min(frames, len(observations.positions))
+    count = min(_FIRST, len(observations.positions))
     rows, target = [], []
     gravity = np.asarray(scene.gravity, dtype=np.float64)
     for frame in range(1, count):
         seen = np.isfinite(observations.positions[frame]).all(-1)
         time = frame / twin.fps
         for point, now in zip(observations.points[seen], observations.positions[frame][seen], strict=True):
-            rows.append(time * np.hstack([np.eye(3), _cross(point - center)]))
+            rows.append(time * np.hstack([np.eye(3), np.cross(np.eye(3), point - center).T]))
             target.append(now - point - 0.5 * gravity * time**2)
     if len(rows) < 3:
         return twin
     weight = 1e-3 * np.hstack([np.zeros(3), np.full(3, np.ptp(observations.points) / twin.fps)])
     matrix = np.vstack([*rows, np.diag(weight)])
     motion = np.linalg.lstsq(matrix, np.concatenate([*target, np.zeros(6)]), rcond=None)[0]
-    changes = {}
-    if capture.initial_velocity is None:
-        changes["initial_velocity"] = tuple(motion[:3])
-    if capture.initial_angular_velocity is None:
-        changes["initial_angular_velocity"] = tuple(motion[3:])
-    return twin.with_scene(**changes)
-
-
-def _cross(arm: np.ndarray) -> np.ndarray:
-    """The matrix that maps ω to ω × arm."""
-    x, y, z = arm
-    return np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])
+    found = {"initial_velocity": tuple(motion[:3]), "initial_angular_velocity": tuple(motion[3:])}
+    return twin.with_scene(**{name: value for name, value in found.items() if getattr(capture, name) is None})

@@ -13,6 +13,7 @@ from physconvex.dynamics import ContactSolver, Timing, simulate, simulate_with_s
 from physconvex.errors import ConvergenceError
 from physconvex.fem import Scene, SceneFamily, SurfacePoints
 from physconvex.identify.parameters import default_parameter, lower_bounds, step_scales, upper_bounds
+from physconvex.identify.point_models import Positions, Tangents, Values
 from physconvex.identify.roll_outs import RollOut, RollOuts
 from physconvex.identify.twin import Twin
 from physconvex.mesh import Embedding, TetMesh
@@ -50,14 +51,12 @@ class ReducedModel:
     def _timing(self) -> Timing:
         return replace(self.timing or self.twin.timing(), frames=self.frames)
 
-    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+    def positions(self, values: Values) -> Positions:
         """Positions of the points at the frames [m]."""
         run = simulate(self.twin.with_values(self.names, values).scene, self._timing)
         return self._shapes @ run.coordinates
 
-    def linearise(
-        self, values: Float[np.ndarray, " K"]
-    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
+    def linearise(self, values: Values) -> tuple[Positions, Tangents]:
         """Positions and their derivatives, by the implicit function theorem (`simulate_with_sensitivities`)."""
         scene = self.twin.with_values(self.names, values).scene
         run = simulate_with_sensitivities(NamedParameters(scene, self.names), self._timing)
@@ -102,11 +101,11 @@ class FullModel:
         """Whether derivatives are differences of whole roll-outs, at one more roll-out for each parameter."""
         return bool(self.twin.scene.obstacles)
 
-    def node_positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T V 3"]:
+    def node_positions(self, values: Values) -> Float[np.ndarray, "T V 3"]:
         """Positions of the nodes of the mesh at the frames [m]."""
         return self.memory.positions(self.key(values), lambda: self.roll_out(values))
 
-    def scene(self, values: Float[np.ndarray, " K"]) -> Scene:
+    def scene(self, values: Values) -> Scene:
         """The scene with the parameters set."""
         scene = self.twin.with_values(self.names, values).full_scene(self.mesh)
         return scene if self.surface is None else replace(scene, contact_points=self.surface)
@@ -118,7 +117,7 @@ class FullModel:
         damped = scene.contact_damping > 0 or "contact_damping" in self.names
         return "condensed" if scene.obstacles and not damped else "passes"
 
-    def roll_out(self, values: Float[np.ndarray, " K"]) -> RollOut:
+    def roll_out(self, values: Values) -> RollOut:
         """The case to be simulated."""
         return RollOut(self.scene(values), replace(self._timing(), contact_solver=self._solver))
 
@@ -127,22 +126,20 @@ class FullModel:
         steps, tolerance = timing.steps_per_frame * self.refinement, _TOLERANCE if self.differenced else None
         return replace(timing, steps_per_frame=steps, tolerance=tolerance)
 
-    def key(self, values: Float[np.ndarray, " K"]) -> Hashable:
+    def key(self, values: Values) -> Hashable:
         """Key of a roll-out in the memory."""
         how = (self.rolled_mesh, self.refinement, self.frames, self.surface)
         return (self.twin, self.names, *how, np.asarray(values, dtype=np.float64).tobytes())
 
-    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+    def positions(self, values: Values) -> Positions:
         """Positions of the points at the frames [m]."""
         return self._embedding.apply(self.node_positions(values))
 
-    def begun(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+    def begun(self, values: Values) -> Positions:
         """Positions at the start of a search, with derivatives if both together are cheap."""
         return self.positions(values) if self.differenced else self.linearise(values)[0]
 
-    def linearise(
-        self, values: Float[np.ndarray, " K"]
-    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
+    def linearise(self, values: Values) -> tuple[Positions, Tangents]:
         """Positions and their derivatives.
 
         Without obstacles the derivatives are those of the step equations
@@ -164,18 +161,13 @@ class FullModel:
     def _sensitivities(self, values: np.ndarray) -> np.ndarray:
         steps, lower, upper = self._usual()
         family = SceneFamily(
-            scene_of=self.scene,
-            values=values,
-            steps=_DIFFERENCE * steps,
-            lower=lower,
-            upper=upper,
-            names=self.names,
+            scene_of=self.scene, values=values, steps=_DIFFERENCE * steps, lower=lower, upper=upper, names=self.names
         )
         found = simulate_with_sensitivities(family, self._timing())
         self.memory.keep(self.key(values), found.trajectory.positions)
         return found.coordinate_tangents
 
-    def beside(self, values: Float[np.ndarray, " K"]) -> list[Float[np.ndarray, " K"]]:
+    def beside(self, values: Values) -> list[Values]:
         """Values of the roll-outs for the differences: upwards unless a bound prevents it."""
         steps, _, upper = self._usual()
         changes = np.diag(_WHOLE_DIFFERENCE[self._solver] * steps)
@@ -198,7 +190,7 @@ class FullModel:
         return np.stack(tangents, axis=1)
 
 
-_Wanted = tuple[FullModel, Float[np.ndarray, " K"]]
+_Wanted = tuple[FullModel, Values]
 
 
 def roll_out_together(wanted: Iterable[_Wanted], *, beside: Iterable[_Wanted] = ()) -> None:

@@ -13,6 +13,9 @@ remains. The step's difference is that of the fitted mesh, because after an impa
 
 The effect on a parameter is Σ_t g_t, where g_t is the first-order shift by frame t. After an impact the errors of
 successive frames are nearly independent, so that √Σ g_t² is taken if it is larger.
+
+e_t is the rms, over the residuals of frame t, of the whitened difference between two discretisations. In further fits
+each residual of that frame is divided by √(1 + e_t²): noise and model error count as independent variances.
 """
 
 from __future__ import annotations
@@ -23,19 +26,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.identify.correction import parameter_shifts
-from physconvex.identify.frame_weights import WeightedObservations, frame_errors
-from physconvex.identify.full_fit import FULL_OPTIONS
+from physconvex.identify.correction import FULL_OPTIONS, parameter_shifts
 from physconvex.identify.levenberg_marquardt import Fit, fit
 from physconvex.identify.model import FullModel, roll_out_together
-from physconvex.identify.observations import Observations
-from physconvex.identify.parameters import Parameter
-from physconvex.identify.point_models import LinearModel, PointModel
+from physconvex.identify.observations import Jacobian, Observations, Residuals, WrappedObservations
+from physconvex.identify.parameters import Parameter, step_scales
+from physconvex.identify.point_models import LinearModel, PointModel, Positions, Tangents
 from physconvex.identify.uncertainty import noise_covariance
 from physconvex.mesh import Embedding, TetMesh
 
 _EXTRAPOLATED = 4.0 / 3.0
 _STEP_LEFT = 1.0 / 3.0
+_TURNS = 3  # at most
 _SETTLED = 0.3  # of a standard deviation
 _FAR = 0.2  # typical steps
 _BELIEVED = 1.0  # typical steps
@@ -83,13 +85,7 @@ class FinerFit:
 
 
 def fit_finer(
-    cheap: PointModel,
-    coarse: FullModel,
-    mesh: TetMesh | None,
-    observations: Observations,
-    found: Fit,
-    *,
-    turns: int = 3,
+    cheap: PointModel, coarse: FullModel, mesh: TetMesh | None, observations: Observations, found: Fit
 ) -> FinerFit:
     """Fit again with the differences to a finer mesh and to half the time step.
 
@@ -102,15 +98,14 @@ def fit_finer(
         mesh: the finer mesh; None: the time step alone.
         observations: the observations.
         found: the fit of the full model, on either mesh.
-        turns: most turns.
 
     Raises:
         ConvergenceError: a finer model fails.
     """
     finest = replace(coarse, mesh=coarse.mesh if mesh is None else mesh)
-    scales = np.array([p.step for p in found.parameters])
+    scales = step_scales(found.parameters)
     values, last, there, runs_away = found.values, found, None, False
-    for _ in range(turns):
+    for _ in range(_TURNS):
         if there is None or (np.abs(values - there.anchor) > _FAR * scales).any():
             there = _differences(cheap, coarse, finest, observations, values)
             best = there.finest
@@ -202,3 +197,43 @@ def extrapolated_nodes(
         return nodes
     carried = Embedding.of_points(coarse.rolled_mesh, finest.rolled_mesh.vertices).apply(coarse.node_positions(values))
     return np.asarray(nodes + share.added * (nodes - carried))
+
+
+def frame_errors(
+    seen: Observations, fine: Float[np.ndarray, "T P 3"], coarse: Float[np.ndarray, "T P 3"]
+) -> Float[np.ndarray, " T"]:
+    """e_t: rms of the whitened difference of two models' positions [m] in each frame, in standard deviations."""
+    change = seen.residuals(fine) - seen.residuals(coarse)
+    counts = np.bincount(seen.frames, minlength=len(fine))
+    return np.sqrt(np.bincount(seen.frames, change**2, minlength=len(fine)) / np.maximum(counts, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedObservations(WrappedObservations):
+    """Observations with a factor on the residuals of each frame.
+
+    Attributes:
+        seen: the observations.
+        factors: by frame, shape [T].
+    """
+
+    factors: Float[np.ndarray, " T"]
+
+    @classmethod
+    def by_errors(cls, seen: Observations, errors: Float[np.ndarray, " T"]) -> WeightedObservations:
+        """Factors 1/√(1 + e_t²)."""
+        return cls(seen, 1.0 / np.sqrt(1.0 + np.square(errors)))
+
+    def in_frames(self, count: int) -> WeightedObservations:
+        """The first `count` frames alone; the points stay."""
+        return WeightedObservations(self.seen.in_frames(count), self.factors[:count])
+
+    def residuals(self, positions: Positions) -> Residuals:
+        """(model − seen)/σ times the factors."""
+        return self.factors[self.frames] * self.seen.residuals(positions)
+
+    def linearise(self, positions: Positions, tangents: Tangents) -> tuple[Residuals, Jacobian]:
+        """The residuals and their derivatives."""
+        residuals, jacobian = self.seen.linearise(positions, tangents)
+        factors = self.factors[self.frames]
+        return factors * residuals, factors[:, None] * jacobian

@@ -19,7 +19,15 @@ from jaxtyping import Float
 from pydantic import Field
 
 from physconvex.identify.colours import ColourObservations
-from physconvex.identify.observations import Observations, PixelObservations, StackedObservations, WrappedObservations
+from physconvex.identify.observations import (
+    Jacobian,
+    Observations,
+    PixelObservations,
+    Residuals,
+    StackedObservations,
+    WrappedObservations,
+)
+from physconvex.identify.point_models import Positions, Tangents
 from physconvex.io import Camera, CommandLine, Options
 
 _Deviation = Annotated[float, Field(ge=0), CommandLine(panel="What was observed")]
@@ -92,34 +100,31 @@ class MarginalObservations(WrappedObservations):
         names = ["time_offset [s]"] if self.nuisance.time_offset else []
         for part in self.seen.parts:
             if (camera := getattr(part, "camera", None)) is not None:
-                names += [f"{camera.name}/{n}" for n, _ in self._camera_names() if f"{camera.name}/{n}" not in names]
-        return tuple(names)
+                names += [f"{camera.name}/{name}" for _, name, _ in self._camera_nuisances()]
+        return tuple(dict.fromkeys(names))
 
-    def _camera_names(self) -> list[tuple[str, float]]:
-        given, out = self.nuisance, []
-        if given.camera_rotation:
-            out += [(f"rotation_{axis} [rad]", given.camera_rotation) for axis in "xyz"]
-        if given.camera_position:
-            out += [(f"position_{axis} [m]", given.camera_position) for axis in "xyz"]
-        return out
+    def _camera_nuisances(self) -> list[tuple[int, str, float]]:
+        """Column of `_camera_columns`, name and prior of each free nuisance of a camera."""
+        rotation, position = self.nuisance.camera_rotation, self.nuisance.camera_position
+        every = [(f"rotation_{axis} [rad]", rotation) for axis in "xyz"]
+        every += [(f"position_{axis} [m]", position) for axis in "xyz"]
+        return [(column, name, sigma) for column, (name, sigma) in enumerate(every) if sigma]
 
     def in_frames(self, count: int) -> MarginalObservations:
         """The first `count` frames alone."""
         return MarginalObservations(self.seen.in_frames(count), self.nuisance, self.interval)
 
-    def residuals(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
+    def residuals(self, positions: Positions) -> Residuals:
         """Whitened residuals."""
         return self._whitened(self.seen.residuals(positions)[:, None], positions)[:, 0]
 
-    def linearise(
-        self, positions: Float[np.ndarray, "T P 3"], tangents: Float[np.ndarray, "T K P 3"]
-    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+    def linearise(self, positions: Positions, tangents: Tangents) -> tuple[Residuals, Jacobian]:
         """Whitened residuals and their derivatives (the derivatives by the nuisances held fixed)."""
         residuals, jacobian = self.seen.linearise(positions, tangents)
         both = self._whitened(np.hstack([residuals[:, None], jacobian]), positions)
         return both[:, 0], both[:, 1:]
 
-    def estimates(self, positions: Float[np.ndarray, "T P 3"]) -> dict[str, float]:
+    def estimates(self, positions: Positions) -> dict[str, float]:
         """Estimates of the nuisances, by name."""
         scaled, sigmas = self._directions(positions)
         inner = np.eye(scaled.shape[1]) + scaled.T @ scaled
@@ -138,11 +143,11 @@ class MarginalObservations(WrappedObservations):
             sigmas[0] = self.nuisance.time_offset
         for part, where, rows in zip(self.seen.parts, self.seen.point_slices, self.seen.residual_slices, strict=True):
             camera = getattr(part, "camera", None)
-            if camera is None or not self._camera_names():
+            if camera is None or not self._camera_nuisances():
                 continue
             turned = _camera_columns(part, positions[:, where], camera)
-            for name, sigma in self._camera_names():
-                place, column = names.index(f"{camera.name}/{name}"), _COLUMNS[name]
+            for column, name, sigma in self._camera_nuisances():
+                place = names.index(f"{camera.name}/{name}")
                 out[rows, place], sigmas[place] = turned[:, column], sigma
         return out * sigmas, sigmas
 
@@ -151,11 +156,6 @@ class MarginalObservations(WrappedObservations):
         speed = np.gradient(positions, self.interval, axis=0) if len(positions) > 1 else np.zeros_like(positions)
         speed[0] = 0.0
         return np.asarray(speed)
-
-
-_COLUMNS = {f"{kind}_{axis} {unit}": 3 * k + i
-            for k, (kind, unit) in enumerate((("rotation", "[rad]"), ("position", "[m]")))
-            for i, axis in enumerate("xyz")}  # fmt: skip
 
 
 def _camera_columns(part: Observations, positions: np.ndarray, camera: Camera) -> np.ndarray:

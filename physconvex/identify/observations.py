@@ -6,21 +6,22 @@ computes (model − seen)/σ, a fixed number N of residuals, and their derivativ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from physconvex.errors import InputError
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.identify.point_models import PointModel, Positions, Tangents, Values
 from physconvex.io import Camera
 from physconvex.numerics import huber_loss
 
-Positions = Float[np.ndarray, "T P 3"]
-Tangents = Float[np.ndarray, "T K P 3"]
+Residuals = Float[np.ndarray, " N"]
+Jacobian = Float[np.ndarray, "N K"]
 
 
 @runtime_checkable
@@ -43,12 +44,10 @@ class Observations(Protocol):
     def robust_scales(self) -> Float[np.ndarray, " N"]:
         """Residual above which Huber's loss is linear, in standard deviations; inf: least squares."""
 
-    def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
+    def residuals(self, positions: Positions) -> Residuals:
         """(model − seen)/σ for the model's positions [T, P, 3] m of the points, all frames."""
 
-    def linearise(
-        self, positions: Positions, tangents: Tangents
-    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+    def linearise(self, positions: Positions, tangents: Tangents) -> tuple[Residuals, Jacobian]:
         """The residuals, and their derivatives by K parameters where the positions have `tangents` [T, K, P, 3]."""
 
     def in_frames(self, count: int) -> Observations:
@@ -104,13 +103,11 @@ class EvaluatedObservations:
         """Residuals [N], and derivatives [N, K]; K = 0 without tangents."""
         raise NotImplementedError
 
-    def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
+    def residuals(self, positions: Positions) -> Residuals:
         """(model − seen)/σ."""
         return self._evaluate(positions, None)[0]
 
-    def linearise(
-        self, positions: Positions, tangents: Tangents
-    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+    def linearise(self, positions: Positions, tangents: Tangents) -> tuple[Residuals, Jacobian]:
         """The residuals and their derivatives."""
         return self._evaluate(positions, tangents)
 
@@ -146,8 +143,23 @@ class WrappedObservations:
         return self.seen.robust_scales
 
 
+class _Followed(PointwiseObservations):
+    """Base of points followed in space or in images."""
+
+    points: Float[np.ndarray, "P 3"]
+    sigma: Float[np.ndarray, "T P"]
+
+    def _check(self, kind: str, name: str, measured: np.ndarray) -> None:
+        shape = np.shape(measured)
+        if len(shape) != 3 or shape[1:] != (len(self.points), self.width) or np.shape(self.sigma) != shape[:2]:
+            raise InputError(
+                f"{kind}: got points {np.shape(self.points)}, {name} {shape} and sigma {np.shape(self.sigma)}; "
+                f"expected [P, 3], [T, P, {self.width}] and [T, P]"
+            )
+
+
 @dataclass(frozen=True, eq=False)
-class MarkerObservations(PointwiseObservations):
+class MarkerObservations(_Followed):
     """Points followed in space.
 
     Attributes:
@@ -167,12 +179,7 @@ class MarkerObservations(PointwiseObservations):
     width: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
-        shape = np.shape(self.positions)
-        if len(shape) != 3 or shape[1:] != (len(self.points), 3) or np.shape(self.sigma) != shape[:2]:
-            raise InputError(
-                f"markers: got points {np.shape(self.points)}, positions {shape} and sigma {np.shape(self.sigma)}; "
-                "expected [P, 3], [T, P, 3] and [T, P]"
-            )
+        self._check("markers", "positions", self.positions)
         if not len(self.frames):
             raise InputError("markers: none is seen in any frame; expected at least one position that is not NaN")
 
@@ -181,14 +188,12 @@ class MarkerObservations(PointwiseObservations):
         """Which points are seen in which frame."""
         return np.isfinite(self.positions).all(-1)
 
-    def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
+    def residuals(self, positions: Positions) -> Residuals:
         """(model − seen)/σ."""
         t, p = self.pairs
         return ((positions[t, p] - self.positions[t, p]) / self.sigma[t, p][:, None]).ravel()
 
-    def linearise(
-        self, positions: Positions, tangents: Tangents
-    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+    def linearise(self, positions: Positions, tangents: Tangents) -> tuple[Residuals, Jacobian]:
         """The residuals and their derivatives."""
         t, p = self.pairs
         jacobian = tangents[t, :, p] / self.sigma[t, p][:, None, None]  # [n, K, 3]
@@ -204,14 +209,9 @@ def camera_jacobian(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Float[n
     local = camera.local(points)
     depth = np.where(local[:, 2] < 0, -local[:, 2], np.nan)
     plane = np.stack([local[:, 0] / depth, -local[:, 1] / depth], axis=-1)
-    zero = np.zeros_like(depth)
-    by_local = np.stack(
-        [
-            np.stack([1 / depth, zero, plane[:, 0] / depth], axis=-1),
-            np.stack([zero, -1 / depth, plane[:, 1] / depth], axis=-1),
-        ],
-        axis=1,
-    )
+    rate, zero = 1 / depth, np.zeros_like(depth)
+    rows = [rate, zero, plane[:, 0] / depth], [zero, -rate, plane[:, 1] / depth]
+    by_local = np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
     square = (plane**2).sum(-1)
     slope = camera.k1 + 2 * camera.k2 * square  # of the distortion by r²
     spread = camera.distortion(square)[:, None, None] * np.eye(2)
@@ -221,7 +221,7 @@ def camera_jacobian(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Float[n
 
 
 @dataclass(frozen=True, eq=False)
-class PixelObservations(PointwiseObservations):
+class PixelObservations(_Followed):
     """Material points followed in the images of one camera.
 
     Attributes:
@@ -243,12 +243,7 @@ class PixelObservations(PointwiseObservations):
     width: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
-        shape = np.shape(self.pixels)
-        if len(shape) != 3 or shape[1:] != (len(self.points), 2) or np.shape(self.sigma) != shape[:2]:
-            raise InputError(
-                f"pixels: got points {np.shape(self.points)}, pixels {shape} and sigma {np.shape(self.sigma)}; "
-                "expected [P, 3], [T, P, 2] and [T, P]"
-            )
+        self._check("pixels", "pixels", self.pixels)
         if not len(self.frames):
             raise InputError(
                 f"pixels: camera {self.camera.name!r} sees no point in any frame; expected at least one that is not NaN"
@@ -259,16 +254,14 @@ class PixelObservations(PointwiseObservations):
         """Which points are seen in which frame."""
         return np.isfinite(self.pixels).all(-1)
 
-    def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
+    def residuals(self, positions: Positions) -> Residuals:
         """(model − seen)/σ; a point that the model puts behind the camera has a residual of 1e3."""
         t, p = self.pairs
         pixels, _ = self.camera.project(positions[t, p])
         values = (pixels - self.pixels[t, p]) / self.sigma[t, p][:, None]
         return np.nan_to_num(values, nan=1e3).ravel()
 
-    def linearise(
-        self, positions: Positions, tangents: Tangents
-    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+    def linearise(self, positions: Positions, tangents: Tangents) -> tuple[Residuals, Jacobian]:
         """The residuals and their derivatives."""
         t, p = self.pairs
         by_position = np.nan_to_num(camera_jacobian(self.camera, positions[t, p])) / self.sigma[t, p][:, None, None]
@@ -306,14 +299,12 @@ class StackedObservations:
     @cached_property
     def point_slices(self) -> tuple[slice, ...]:
         """Slice of each part's points."""
-        ends = np.cumsum([0, *(len(part.points) for part in self.parts)])
-        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+        return _slices(len(part.points) for part in self.parts)
 
     @cached_property
     def residual_slices(self) -> tuple[slice, ...]:
         """Slice of each part's residuals."""
-        ends = np.cumsum([0, *(len(part.frames) for part in self.parts)])
-        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+        return _slices(len(part.frames) for part in self.parts)
 
     @property
     def stated(self) -> tuple[bool, ...]:
@@ -340,20 +331,31 @@ class StackedObservations:
         """The first `count` frames alone; the points stay."""
         return StackedObservations(tuple(part.in_frames(count) for part in self.parts))
 
-    def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
+    def residuals(self, positions: Positions) -> Residuals:
         """(model − seen)/σ."""
         pairs = zip(self.parts, self.point_slices, strict=True)
         return np.concatenate([part.residuals(positions[:, where]) for part, where in pairs])
 
-    def linearise(
-        self, positions: Positions, tangents: Tangents
-    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+    def linearise(self, positions: Positions, tangents: Tangents) -> tuple[Residuals, Jacobian]:
         """The residuals and their derivatives."""
         pairs = zip(self.parts, self.point_slices, strict=True)
         found = [part.linearise(positions[:, where], tangents[:, :, where]) for part, where in pairs]
         return np.concatenate([r for r, _ in found]), np.concatenate([j for _, j in found])
 
 
-def misfit_of(observations: Observations, positions: Float[np.ndarray, "T P 3"]) -> float:
+def _slices(lengths: Iterable[int]) -> tuple[slice, ...]:
+    """Slices of these lengths, one after the other."""
+    return tuple(slice(a, b) for a, b in pairwise(accumulate(lengths, initial=0)))
+
+
+def misfit_of(observations: Observations, positions: Positions) -> float:
     """Half the sum of squared residuals, with Huber's loss for large ones; without priors."""
     return huber_loss(observations.residuals(positions), observations.robust_scales)
+
+
+def misfit_at(model: PointModel, observations: Observations, values: Values) -> float:
+    """Misfit of a model; infinite where it fails."""
+    try:
+        return misfit_of(observations, model.positions(values))
+    except ConvergenceError:
+        return np.inf

@@ -1,4 +1,7 @@
-"""A coarse scan over Young's modulus and Poisson's ratio: the subsequent search converges within half a decade."""
+"""A coarse scan over Young's modulus and Poisson's ratio: the subsequent search converges within half a decade.
+
+Also a few moduli near a start: a body that swings has one minimum of the misfit per period.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,8 @@ import numpy as np
 
 from physconvex.errors import ConvergenceError
 from physconvex.identify.levenberg_marquardt import FitOptions, fit
-from physconvex.identify.observations import Observations, misfit_of
-from physconvex.identify.parameters import Parameter
+from physconvex.identify.observations import Observations, misfit_at
+from physconvex.identify.parameters import Parameter, starts
 from physconvex.identify.point_models import PointModel
 from physconvex.io import Workers
 
@@ -62,24 +65,42 @@ def scan(
     free = any(p.name == _RATIO for p in parameters)
     parameters = _rigid_fitted(model, observations, parameters, moduli[len(moduli) // 2], ratios[0])
     pairs = [(modulus, ratio) for modulus in moduli for ratio in (ratios if free else (float("nan"),))]
-    starts = [tuple(_moved(p, {_MODULUS: m, _RATIO: r}) for p in parameters) for m, r in pairs]
-    misfits = (workers or Workers()).map(partial(_misfit, model, observations), starts)
-    found = [
-        Candidate(*pair, misfit, start)
-        for pair, start, misfit in zip(pairs, starts, misfits, strict=True)
-        if misfit is not None
-    ]
+    trials = [tuple(_moved(p, {_MODULUS: m, _RATIO: r}) for p in parameters) for m, r in pairs]
+    misfits = (workers or Workers()).map(partial(_misfit, model, observations), trials)
+    tried = [Candidate(*pair, misfit, trial) for pair, misfit, trial in zip(pairs, misfits, trials, strict=True)]
+    found = [candidate for candidate in tried if candidate.misfit < np.inf]
     if not found:
         raise ConvergenceError(f"scan: the model fails at all of log10 E = {[round(m, 2) for m in moduli]}")
     return sorted(found, key=lambda candidate: candidate.misfit)
 
 
-def _misfit(model: PointModel, observations: Observations, start: tuple[Parameter, ...]) -> float | None:
-    """Misfit of the model there; None if the body is too soft to be simulated."""
-    try:
-        return misfit_of(observations, model.positions(np.array([p.start for p in start])))
-    except ConvergenceError:
-        return None
+def _misfit(model: PointModel, observations: Observations, start: tuple[Parameter, ...]) -> float:
+    return misfit_at(model, observations, starts(start))
+
+
+def with_best_modulus(
+    model: PointModel,
+    observations: Observations,
+    parameters: Sequence[Parameter],
+    changes: Sequence[float],
+    *,
+    below: float = np.inf,
+) -> tuple[Parameter, ...]:
+    """The parameters with the log10 E of least misfit among a few nearby ones; unchanged if log10 E is not free.
+
+    Args:
+        model, observations: give the misfit.
+        parameters: the unknowns of the model.
+        changes: of log10 E [decades].
+        below: misfit that a change must improve on.
+    """
+    best, chosen = below, tuple(parameters)
+    for change in changes if _MODULUS in model.names else ():
+        trial = tuple(p.at(p.start + change) if p.name == _MODULUS else p for p in parameters)
+        misfit = _misfit(model, observations, trial)
+        if misfit < best:
+            best, chosen = misfit, trial
+    return chosen
 
 
 def _rigid_fitted(
@@ -88,7 +109,8 @@ def _rigid_fitted(
     """The parameters, with those that shift or turn the body improved by a few steps."""
     if not any(p.name.startswith("initial_") for p in parameters):
         return tuple(parameters)
-    held = [_held(p, {_MODULUS: modulus, _RATIO: ratio}) for p in parameters]
+    values = {_MODULUS: modulus, _RATIO: ratio}
+    held = [_moved(p, values).held() if p.name in values else p for p in parameters]
     try:
         state = fit(model, observations, held, options=FitOptions(max_iterations=3))
     except ConvergenceError:
@@ -99,9 +121,3 @@ def _rigid_fitted(
 
 def _moved(parameter: Parameter, values: dict[str, float]) -> Parameter:
     return parameter.at(values[parameter.name]) if parameter.name in values else parameter
-
-
-def _held(parameter: Parameter, values: dict[str, float]) -> Parameter:
-    if parameter.name not in values:
-        return parameter
-    return parameter.at(values[parameter.name]).held()

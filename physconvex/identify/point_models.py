@@ -12,6 +12,12 @@ from jaxtyping import Float
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.numerics import broyden_update, moved_along
 
+Values = Float[np.ndarray, " K"]
+Positions = Float[np.ndarray, "T P 3"]
+"""Of P points in T frames [m]."""
+Tangents = Float[np.ndarray, "T K P 3"]
+"""Derivatives of positions by K values."""
+
 
 @runtime_checkable
 class PointModel(Protocol):
@@ -25,12 +31,10 @@ class PointModel(Protocol):
     def names(self) -> tuple[str, ...]:
         """Names of the K parameters."""
 
-    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+    def positions(self, values: Values) -> Positions:
         """Positions of the points at the frames [m]."""
 
-    def linearise(
-        self, values: Float[np.ndarray, " K"]
-    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
+    def linearise(self, values: Values) -> tuple[Positions, Tangents]:
         """Positions and their derivatives by the parameters."""
 
 
@@ -46,17 +50,15 @@ class LinearModel:
     """
 
     names: tuple[str, ...]
-    anchor: Float[np.ndarray, " K"]
-    at: Float[np.ndarray, "T P 3"]
-    tangents: Float[np.ndarray, "T K P 3"]
+    anchor: Values
+    at: Positions
+    tangents: Tangents
 
-    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+    def positions(self, values: Values) -> Positions:
         """Positions of the points at the frames [m]."""
         return self.at + moved_along(self.tangents, values - self.anchor)
 
-    def linearise(
-        self, values: Float[np.ndarray, " K"]
-    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
+    def linearise(self, values: Values) -> tuple[Positions, Tangents]:
         """Positions and the derivatives."""
         return self.positions(values), self.tangents
 
@@ -73,9 +75,9 @@ class CorrectedModel:
     """
 
     model: PointModel
-    anchor: Float[np.ndarray, " K"]
-    shift: Float[np.ndarray, "T P 3"]
-    slope: Float[np.ndarray, "T K P 3"]
+    anchor: Values
+    shift: Positions
+    slope: Tangents
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -85,13 +87,11 @@ class CorrectedModel:
     def _correction(self, values: np.ndarray) -> np.ndarray:
         return self.shift + moved_along(self.slope, values - self.anchor)
 
-    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+    def positions(self, values: Values) -> Positions:
         """Corrected positions [m]."""
         return self.model.positions(values) + self._correction(values)
 
-    def linearise(
-        self, values: Float[np.ndarray, " K"]
-    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
+    def linearise(self, values: Values) -> tuple[Positions, Tangents]:
         """Corrected positions and their derivatives."""
         positions, tangents = self.model.linearise(values)
         return positions + self._correction(values), tangents + self.slope
@@ -112,11 +112,11 @@ class SecantModel:
     def __init__(
         self,
         model: PointModel,
-        values: Float[np.ndarray, " K"],
-        positions: Float[np.ndarray, "T P 3"],
-        tangents: Float[np.ndarray, "T K P 3"],
+        values: Values,
+        positions: Positions,
+        tangents: Tangents,
         *,
-        scales: Float[np.ndarray, " K"],
+        scales: Values,
         check: Callable[[], None] = lambda: None,
     ) -> None:
         self.model, self.tangents, self.scales, self.check = model, tangents, scales, check
@@ -127,13 +127,11 @@ class SecantModel:
         """Names of the parameters."""
         return self.model.names
 
-    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+    def positions(self, values: Values) -> Positions:
         """Positions of the points at the frames [m]."""
         return self.model.positions(values)
 
-    def linearise(
-        self, values: Float[np.ndarray, " K"]
-    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
+    def linearise(self, values: Values) -> tuple[Positions, Tangents]:
         """Positions, and the derivatives updated with the last step.
 
         Raises:

@@ -27,8 +27,9 @@ from scipy.spatial.transform import Rotation
 
 from physconvex.dynamics import Plane, Sphere
 from physconvex.identify.nuisance import Elimination, MarginalObservations
-from physconvex.identify.observations import Observations, WrappedObservations
+from physconvex.identify.observations import Jacobian, Observations, Residuals, WrappedObservations
 from physconvex.identify.outlines import with_drawn_outlines
+from physconvex.identify.point_models import Positions, Tangents
 from physconvex.io import Workers
 from physconvex.numerics import best_rotation, huber_loss, huber_weights
 
@@ -39,7 +40,7 @@ _TOUCH = 2e-3  # of the body's size
 
 
 def first_contact(
-    positions: Float[np.ndarray, "T P 3"],
+    positions: Positions,
     obstacles: Sequence[Plane | Sphere],
     times: Float[np.ndarray, " T"],
     gravity: Sequence[float] | Float[np.ndarray, " 3"],
@@ -83,13 +84,11 @@ class RigidDriftObservations(WrappedObservations):
         """The first `count` frames alone."""
         return replace(self, seen=self.seen.in_frames(count))
 
-    def residuals(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
+    def residuals(self, positions: Positions) -> Residuals:
         """Whitened residuals."""
         return self.linearise(positions, np.zeros((len(positions), 0, *positions.shape[1:])))[0]
 
-    def linearise(
-        self, positions: Float[np.ndarray, "T P 3"], tangents: Float[np.ndarray, "T K P 3"]
-    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+    def linearise(self, positions: Positions, tangents: Tangents) -> tuple[Residuals, Jacobian]:
         """Whitened residuals and their derivatives (those of the kicks held fixed)."""
         kicks = self._kicks(positions)
         fitted = self._fitted(positions, kicks)
@@ -98,7 +97,7 @@ class RigidDriftObservations(WrappedObservations):
         columns = Elimination.of(slopes).whitened(columns)
         return columns[:, 0], columns[:, 1:]
 
-    def drift(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, "T P 3"]:
+    def drift(self, positions: Positions) -> Float[np.ndarray, "T P 3"]:
         """Rigid drift of the recording from the model [m]."""
         kicks = self._kicks(positions)
         return kicks.moved(positions, self._fitted(positions, kicks)) - positions
@@ -119,7 +118,7 @@ class RigidDriftObservations(WrappedObservations):
         fitted = self._fitted(seen, self._kicks(seen))
         return self._kicks(positions, others, kicked=count).moved(others, fitted)
 
-    def log_likelihood(self, positions: Float[np.ndarray, "T P 3"]) -> float:
+    def log_likelihood(self, positions: Positions) -> float:
         """Log-likelihood of the residuals, the kicks integrated out, up to a constant; Huber's loss."""
         kicks = self._kicks(positions)
         fitted = self._fitted(positions, kicks)
@@ -200,7 +199,7 @@ class _Kicks:
 
 def likely_drift(
     seen: Observations,
-    positions: Float[np.ndarray, "T P 3"],
+    positions: Positions,
     begin: int,
     interval: float,
     *,
@@ -220,13 +219,10 @@ def likely_drift(
     if begin >= len(positions):
         return None
     trials = [RigidDriftObservations(seen, begin, interval, share * most) for share in (0.0, *_SHARES)]
-    likelihoods = (workers or Workers()).map(partial(_log_likelihood, positions), trials)
+    likelihood = partial(RigidDriftObservations.log_likelihood, positions=positions)
+    likelihoods = (workers or Workers()).map(likelihood, trials)
     best = int(np.argmax(likelihoods))
     return trials[best] if best else None
-
-
-def _log_likelihood(positions: np.ndarray, seen: RigidDriftObservations) -> float:
-    return seen.log_likelihood(positions)
 
 
 def model_drift(

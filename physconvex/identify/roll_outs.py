@@ -15,6 +15,7 @@ from physconvex.errors import ConvergenceError
 from physconvex.fem import Scene
 from physconvex.io import Workers
 
+_KEPT = 32  # roll-outs in the memory
 _LIGHT = 1e4  # nodes times time steps: less work than the start of a process
 
 
@@ -49,20 +50,17 @@ class RollOuts:
     """The last roll-outs of full models and their derivatives, so that none is repeated.
 
     Args:
-        most: how many are kept.
         workers: run several roll-outs at once if these are large enough.
     """
 
-    def __init__(self, most: int = 32, workers: Workers | None = None) -> None:
-        self.most, self.workers = most, workers or Workers()
+    def __init__(self, workers: Workers | None = None) -> None:
+        self.workers = workers or Workers()
         self._kept: dict[Hashable, np.ndarray | ConvergenceError] = {}
         self._guess_errors: dict[Hashable, GuessErrors | None] = {}
         self._tangents: dict[Hashable, np.ndarray] = {}
 
     def prepare(
-        self,
-        wanted: Mapping[Hashable, Callable[[], RollOut]],
-        near: Mapping[Hashable, Hashable] = MappingProxyType({}),
+        self, wanted: Mapping[Hashable, Callable[[], RollOut]], near: Mapping[Hashable, Hashable] = MappingProxyType({})
     ) -> None:
         """Run those that are not kept, several at once if that is faster; failures are kept too.
 
@@ -77,7 +75,7 @@ class RollOuts:
             for key, made in zip(keys, self._made(jobs), strict=True):
                 positions, guess_errors = (made, None) if isinstance(made, ConvergenceError) else made
                 self.keep(key, positions)
-                _put(self._guess_errors, key, guess_errors, self.most)
+                _put(self._guess_errors, key, guess_errors)
 
     def _made(self, jobs: Sequence[RollOut]) -> list[_Made]:
         if jobs and max(job.work for job in jobs) > _LIGHT:
@@ -99,7 +97,7 @@ class RollOuts:
 
     def keep(self, key: Hashable, positions: np.ndarray | ConvergenceError) -> None:
         """Remember positions, or a failure."""
-        _put(self._kept, key, positions, self.most)
+        _put(self._kept, key, positions)
 
     def tangents(self, key: Hashable) -> Float[np.ndarray, "T K V 3"] | None:
         """The stored derivatives."""
@@ -107,11 +105,11 @@ class RollOuts:
 
     def keep_tangents(self, key: Hashable, tangents: Float[np.ndarray, "T K V 3"]) -> None:
         """Remember derivatives."""
-        _put(self._tangents, key, tangents, self.most)
+        _put(self._tangents, key, tangents)
 
 
-def _put(kept: dict[Hashable, Any], key: Hashable, value: Any, most: int) -> None:
+def _put(kept: dict[Hashable, Any], key: Hashable, value: Any) -> None:
     kept.pop(key, None)
-    while len(kept) >= most:
+    while len(kept) >= _KEPT:
         kept.pop(next(iter(kept)))
     kept[key] = value

@@ -15,18 +15,16 @@ from physconvex.identify.twin import Twin, smooth_weights
 from physconvex.reduced import BodySamples, NodalWeights, ReducedSpace, WeightField, snapshot_weights
 
 
-def enriched(twin: Twin, nodes: Float[np.ndarray, "T V 3"], *, snapshots: int | None = None) -> Twin:
-    """The twin with the same number of weights, some of them from a motion of the full model.
+def enriched(twin: Twin, nodes: Float[np.ndarray, "T V 3"]) -> Twin:
+    """The twin with the same number of weights, half of them from a motion of the full model.
 
     Args:
         twin: with M weights.
-        nodes: positions of its mesh's nodes [m].
-        snapshots: number of weights from the motion; half of them unless given, fewer if its rank is lower.
+        nodes: positions of its mesh's nodes [m]; if their motion has a lower rank, it gives fewer weights.
     """
     weights = twin.scene.body.space.field.count
-    wanted = (weights + 1) // 2 if snapshots is None else snapshots
     body = ElasticBody(twin.mesh)
-    for count in range(wanted, 0, -1):
+    for count in range((weights + 1) // 2, 0, -1):
         try:
             found = snapshot_weights(body, [nodes - twin.mesh.vertices], count)
         except InputError:  # the motion has fewer independent fields

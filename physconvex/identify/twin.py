@@ -30,6 +30,7 @@ from physconvex.reduced import (
 RATE = 384.0  # least time steps per second: the time step's error stays below 0.02 decades of E, see design notes
 _NODES_PER_WEIGHT = 5  # each weight adds four functions
 _LOST = 0.2  # of the joint volume of body and mesh; a mesh that misses more of it is not replaced by a coarser one
+_Surface = tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]
 
 
 @dataclass(frozen=True)
@@ -84,12 +85,9 @@ class Twin:
         return bool(self.scene.obstacles) and self.clamp is None
 
     @property
-    def surface(self) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
+    def surface(self) -> _Surface:
         """Rest vertices [m] and triangles of the body's surface: of the capture's mesh, else of the tetrahedra."""
-        mesh = self.capture.mesh()
-        if mesh is None:
-            return self.mesh.surface
-        return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
+        return _shown_surface(self.capture) or self.mesh.surface
 
     def with_scene(self, **changes: Any) -> Twin:
         """The same twin with fields of its reduced scene replaced (an effect added, for example)."""
@@ -117,7 +115,7 @@ class Twin:
             mesh = self.mesh
         else:
             constants = {name: _uniform(name, value) for name, value in constants.items()}
-            clamp = self._clamp_on(mesh)
+            clamp = _clamp_on(self.capture, mesh)
         held = {} if clamp is None or scene.pins is None else {"pins": None, "node_pins": clamp.node_pins()}
         return in_world(
             Scene,
@@ -128,13 +126,6 @@ class Twin:
             contact_stiffness=scene.contact().stiffness,
             **held,
         )
-
-    def _clamp_on(self, mesh: TetMesh) -> Clamp | None:
-        boundary = self.capture.boundary()
-        if boundary is None:
-            return None
-        vertices, cells = _reference(self.capture, mesh)
-        return clamp_of(boundary, mesh, reference=vertices, cells=cells, fps=self.fps)
 
 
 def smooth_weights(mesh: TetMesh, count: int, clamp: Clamp | None) -> NodalWeights:
@@ -156,16 +147,19 @@ def _uniform(name: str, value: np.ndarray) -> float:
     return float(value[0])
 
 
-def surface_of_capture(capture: Capture) -> tuple[np.ndarray, np.ndarray] | None:
+def _shown_surface(capture: Capture) -> _Surface | None:
+    """Vertices [m] and triangles of `mesh.*`."""
+    mesh = capture.mesh()
+    return None if mesh is None else (np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces))
+
+
+def surface_of_capture(capture: Capture) -> _Surface | None:
     """Vertices [V, 3] m and triangles [F, 3] of a capture's rest geometry: the boundary of its tetrahedra, or `mesh.*`.
 
     None if it has neither.
     """
     tets = capture.tets()
-    if tets is not None:
-        return tets.surface
-    shown = capture.mesh()
-    return None if shown is None else (np.asarray(shown.vertices, dtype=np.float64), np.asarray(shown.faces))
+    return _shown_surface(capture) if tets is None else tets.surface
 
 
 def mesh_of_capture(capture: Capture, *, max_nodes: int = 700, fill: bool = False) -> TetMesh:
@@ -194,11 +188,8 @@ def mesh_of_capture(capture: Capture, *, max_nodes: int = 700, fill: bool = Fals
 
 def _follows(mesh: TetMesh, capture: Capture) -> bool:
     """Whether a mesh has most of its volume in common with the closed surface of a capture, if there is one."""
-    surface = None if capture.tets() is not None else capture.mesh()
-    if surface is None:
-        return True
-    pair = np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
-    return enclosed_volume(*pair) is None or shape_mismatch(mesh, *pair) < _LOST
+    surface = None if capture.tets() is not None else _shown_surface(capture)
+    return surface is None or enclosed_volume(*surface) is None or shape_mismatch(mesh, *surface) < _LOST
 
 
 @lru_cache(maxsize=2)  # one refinement asks three times
@@ -216,15 +207,15 @@ def coarse_mesh(capture: Capture, mesh: TetMesh, *, max_nodes: int = 200) -> Tet
     return coarse if len(coarse.vertices) < len(mesh.vertices) else mesh
 
 
-def _reference(capture: Capture, mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices that the capture's boundary indexes, and the tetrahedra or triangles between them."""
+def _clamp_on(capture: Capture, mesh: TetMesh) -> Clamp | None:
+    """The nodes of a mesh that a capture holds: its boundary indexes its tetrahedra, else its surface, else `mesh`."""
+    boundary = capture.boundary()
+    if boundary is None:
+        return None
     tets = capture.tets()
-    if tets is not None:
-        return tets.vertices, tets.corner_tets
-    surface = capture.mesh()
-    if surface is None:
-        return mesh.vertices, mesh.corner_tets
-    return np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
+    surface = None if tets is not None else _shown_surface(capture)
+    vertices, cells = surface or ((tets or mesh).vertices, (tets or mesh).corner_tets)
+    return clamp_of(boundary, mesh, reference=vertices, cells=cells, fps=capture.fps)
 
 
 def base_twin(capture: Capture, options: TwinOptions | None = None, *, mesh: TetMesh | None = None) -> Twin:
@@ -242,11 +233,7 @@ def base_twin(capture: Capture, options: TwinOptions | None = None, *, mesh: Tet
     if mesh is None:
         mesh = mesh_of_capture(capture, max_nodes=options.max_nodes, fill=options.fill)
     mesh = to_quadratic(mesh)
-    boundary = capture.boundary()
-    clamp = None
-    if boundary is not None:
-        vertices, cells = _reference(capture, mesh)
-        clamp = clamp_of(boundary, mesh, reference=vertices, cells=cells, fps=capture.fps)
+    clamp = _clamp_on(capture, mesh)
     weights = smooth_weights(mesh, options.weights, clamp)
     body = ReducedBody(
         ReducedSpace(weights, BodySamples.of_mesh(mesh), interpolated=clamp is not None),

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from physconvex.identify.levenberg_marquardt import Fit
+from physconvex.identify.parameters import lower_bounds, step_scales, upper_bounds
 
 _LOOSE = 1.0  # a direction is undetermined when its deviation exceeds one typical step …
 _CORRELATED = 0.95
@@ -43,7 +44,7 @@ class Identifiability:
 
 def _information(found: Fit, variances: np.ndarray | float = 1.0, *, priors: bool = True) -> np.ndarray:
     """Jᵀ W V J in typical steps, with the priors."""
-    scales = np.array([p.step for p in found.parameters])
+    scales = step_scales(found.parameters)
     rows = np.sqrt(found.weights * variances)[:, None] * found.jacobian * scales
     information = rows.T @ rows
     if priors:
@@ -52,10 +53,9 @@ def _information(found: Fit, variances: np.ndarray | float = 1.0, *, priors: boo
 
 
 def _at_bounds(found: Fit) -> np.ndarray:
-    lower = np.array([p.lower for p in found.parameters])
-    upper = np.array([p.upper for p in found.parameters])
-    near = _AT_BOUND * np.array([p.step for p in found.parameters])
-    return (found.values - lower < near) | (upper - found.values < near)
+    near = _AT_BOUND * step_scales(found.parameters)
+    above, below = found.values - lower_bounds(found.parameters), upper_bounds(found.parameters) - found.values
+    return (above < near) | (below < near)
 
 
 def noise_covariance(found: Fit) -> Float[np.ndarray, "K K"]:
@@ -64,7 +64,7 @@ def noise_covariance(found: Fit) -> Float[np.ndarray, "K K"]:
     Parameters at a bound are fixed there: their rows and columns are zero. Undetermined directions have a deviation of
     at most 10⁶ typical steps.
     """
-    scales = np.array([p.step for p in found.parameters])
+    scales = step_scales(found.parameters)
     free = ~_at_bounds(found)
     out = np.zeros((len(scales), len(scales)))
     if free.any():
@@ -79,14 +79,13 @@ def marginal_deviations(found: Fit, variances: Float[np.ndarray, " N"] | float =
 
     Errors of the data or the model may push a parameter to its bound, which biases the others. Its true value may lie
     anywhere in its range: half the range is the deviation of a prior.
-    is. Its true value may lie anywhere in its range, whose half counts as the deviation of a prior.
 
     Args:
         found: the fit.
         variances: of the residuals, if they differ from the stated ones. The fit is weighted by the stated ones, and
             its covariance is A⁻¹ (Jᵀ W V W J + Σ₀⁻¹) A⁻¹ with A = Jᵀ W J + Σ₀⁻¹ (White 1980).
     """
-    scales = np.array([p.step for p in found.parameters])
+    scales = step_scales(found.parameters)
     half_ranges = np.array([(p.upper - p.lower) / (2 * p.step) for p in found.parameters])
     held = np.diag(np.where(_at_bounds(found), half_ranges**-2.0, 0.0))
     values, vectors = np.linalg.eigh(_information(found) + held)
@@ -107,16 +106,11 @@ def clustered_deviations(found: Fit, frames: Int[np.ndarray, " N"]) -> Float[np.
         found: the fit.
         frames: frame of each residual.
     """
-    shifts = _scores(found, frames) @ noise_covariance(found)
-    count = len(shifts)
+    rows = found.jacobian * (found.weights * found.residuals)[:, None]
+    scores = np.stack([rows[frames == frame].sum(0) for frame in np.unique(frames)])
+    shifts, count = scores @ noise_covariance(found), len(scores)
     factor = count / max(count - len(found.values), 1)
     return np.sqrt(factor * np.square(shifts).sum(0))
-
-
-def _scores(found: Fit, frames: Int[np.ndarray, " N"]) -> Float[np.ndarray, "T K"]:
-    """Gradient of each frame's share of the misfit; one row for each frame that has residuals."""
-    rows = found.jacobian * (found.weights * found.residuals)[:, None]
-    return np.stack([rows[frames == frame].sum(0) for frame in np.unique(frames)])
 
 
 def identifiability(found: Fit) -> Identifiability:

@@ -130,11 +130,7 @@ def _flow(
 
 
 def appearance_map(
-    camera: Camera,
-    rest: Float[np.ndarray, "V 3"],
-    triangles: Int[np.ndarray, "F 3"],
-    hits: Hits,
-    first: Hits,
+    camera: Camera, rest: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"], hits: Hits, first: Hits
 ) -> tuple[np.ndarray, Bool[np.ndarray, "H W"]]:
     """Place in the first image of each pixel of a later one, by the model.
 

@@ -1,9 +1,5 @@
 from .camera import UNDISTORT_ITERATIONS as UNDISTORT_ITERATIONS, Camera as Camera, look_at as look_at
-from .capture.folder import (
-    Capture as Capture,
-    Floor as Floor,
-    load_capture as load_capture,
-)
+from .capture.folder import Capture as Capture, Floor as Floor, load_capture as load_capture
 from .capture.metadata import (
     CAPTURE_FILE as CAPTURE_FILE,
     CaptureFile as CaptureFile,

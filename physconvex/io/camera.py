@@ -155,13 +155,7 @@ class Camera:
         """The same camera with another number of pixels over the same field of view."""
         sx, sy = width / self.w, height / self.h
         return replace(
-            self,
-            w=width,
-            h=height,
-            fl_x=self.fl_x * sx,
-            fl_y=self.fl_y * sy,
-            cx=self.cx * sx,
-            cy=self.cy * sy,
+            self, w=width, h=height, fl_x=self.fl_x * sx, fl_y=self.fl_y * sy, cx=self.cx * sx, cy=self.cy * sy
         )
 
     def to_json(self) -> dict[str, JsonValue]:

@@ -65,11 +65,7 @@ def _template() -> Template:
 
 
 def html_summary(
-    title: str,
-    rows: Sequence[tuple[str, str]],
-    *,
-    pictures: Sequence[Picture] = (),
-    notes: Sequence[str] = (),
+    title: str, rows: Sequence[tuple[str, str]], *, pictures: Sequence[Picture] = (), notes: Sequence[str] = ()
 ) -> str:
     """A result as HTML for a notebook; all text is escaped.
 

@@ -158,10 +158,7 @@ def _parameter(name: str, info: FieldInfo) -> inspect.Parameter:
     flags = [look.flag] if look.flag else []
     option = typer.Option(*flags, help=info.description, rich_help_panel=look.panel, min=least)
     return inspect.Parameter(
-        name,
-        inspect.Parameter.KEYWORD_ONLY,
-        default=None if repeated else default,
-        annotation=Annotated[kind, option],
+        name, inspect.Parameter.KEYWORD_ONLY, default=None if repeated else default, annotation=Annotated[kind, option]
     )
 
 

@@ -25,10 +25,7 @@ STRAIN_KERNEL = Kernel(
     SOURCES / "principal_strains",
     {
         "pc_singular_values": (_INTEGER, [ctypes.c_int64, POINTER, _NUMBER, *[POINTER] * 3]),
-        "pc_flow_response": (
-            _INTEGER,
-            [ctypes.c_int64, *[POINTER] * 5, _NUMBER, _INTEGER, _NUMBER, *[POINTER] * 2],
-        ),
+        "pc_flow_response": (_INTEGER, [ctypes.c_int64, *[POINTER] * 5, _NUMBER, _INTEGER, _NUMBER, *[POINTER] * 2]),
     },
 )
 

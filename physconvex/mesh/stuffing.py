@@ -180,10 +180,7 @@ def _pyramid(apex: np.ndarray, base: list[np.ndarray], rank: Int[np.ndarray, " N
     q = np.stack(base, axis=1)
     first = rank[q].argmin(axis=1) if len(q) else np.zeros(0, dtype=np.int64)
     q = np.take_along_axis(q, (first[:, None] + np.arange(4)) % 4, axis=1)
-    return [
-        np.column_stack([apex, q[:, 0], q[:, 1], q[:, 2]]),
-        np.column_stack([apex, q[:, 0], q[:, 2], q[:, 3]]),
-    ]
+    return [np.column_stack([apex, q[:, 0], q[:, k], q[:, k + 1]]) for k in (1, 2)]
 
 
 def _prism(

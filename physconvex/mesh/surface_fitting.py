@@ -25,11 +25,7 @@ CANDIDATES = 16
 
 
 def fit_to_surface(
-    mesh: TetMesh,
-    points: Float[np.ndarray, "S 3"],
-    normals: Float[np.ndarray, "S 3"],
-    *,
-    rounds: int = 6,
+    mesh: TetMesh, points: Float[np.ndarray, "S 3"], normals: Float[np.ndarray, "S 3"], *, rounds: int = 6
 ) -> TetMesh:
     """Move all nodes so that the boundary follows a surface and the elements stay close to regular.
 

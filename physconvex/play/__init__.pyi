@@ -1,5 +1,5 @@
 from .animated_glb import write_animated_glb as write_animated_glb
-from .assets import Asset as Asset, read_asset as read_asset
+from .assets import Asset as Asset, RestSurface as RestSurface, read_asset as read_asset, read_surface as read_surface
 from .config import (
     BasisConfig as BasisConfig,
     BodyMaterialConfig as BodyMaterialConfig,
@@ -20,5 +20,4 @@ from .fields import (
 from .pictures import frames_of as frames_of
 from .roll_out import PlayedObject as PlayedObject, play as play, play_together as play_together
 from .simulation import simulate_assets as simulate_assets
-from .surface import RestSurface as RestSurface, read_surface as read_surface
 from .writing import summary_of as summary_of, write_played as write_played

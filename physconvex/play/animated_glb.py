@@ -76,10 +76,7 @@ def write_animated_glb(
         "nodes": [{"mesh": 0, "rotation": _Y_UP}],
         "meshes": [surface],
         "materials": [
-            {
-                "pbrMetallicRoughness": {"baseColorFactor": [*color, 1.0], "metallicFactor": 0.0},
-                "doubleSided": True,
-            }
+            {"pbrMetallicRoughness": {"baseColorFactor": [*color, 1.0], "metallicFactor": 0.0}, "doubleSided": True}
         ],
     }
     if moved:

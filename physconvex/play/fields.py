@@ -9,26 +9,18 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 
-from physconvex.convex import (
-    BoundField,
-    ConvexField,
-    bind_to_space,
-    half_spaces,
-    move_half_spaces,
-    space_map,
-    write_ply,
-)
+from physconvex.convex import ConvexField, bind_to_space, half_spaces, move_half_spaces, space_map, write_ply
 from physconvex.io import look_at
 from physconvex.play.roll_out import PlayedObject
 from physconvex.reduced import ReducedTrajectory
 from physconvex.render import film
 
-_FIELD_OF_VIEW = 0.52  # [rad]
+_FIELD_OF_VIEW, _SIZE = 0.52, 448  # [rad], [px]
 
 
 def moving_fields(field: ConvexField, run: ReducedTrajectory) -> Iterator[ConvexField]:
     """The field at each frame: its vertices move with the body, its colours rotate with it."""
-    bound: BoundField = bind_to_space(field, run.space)
+    bound = bind_to_space(field, run.space)
     return (bound.at(coordinates) for coordinates in run.coordinates)
 
 
@@ -41,10 +33,8 @@ def moving_half_spaces(
     """
     spaces, centres = half_spaces(field), field.centres
     moved = [move_half_spaces(spaces, centres, space_map(run.space, y)) for y in run.coordinates]
-    normals, offsets = (
-        np.stack([getattr(m, name).detach().cpu().numpy() for m in moved]) for name in ("normals", "offsets")
-    )
-    return normals, offsets
+    normals, offsets = ([getattr(m, name).detach().cpu().numpy() for m in moved] for name in ("normals", "offsets"))
+    return np.stack(normals), np.stack(offsets)
 
 
 def write_fields(played: PlayedObject, folder: Path) -> None:
@@ -61,13 +51,11 @@ def write_fields(played: PlayedObject, folder: Path) -> None:
         np.savez_compressed(folder / f"half_spaces{label}.npz", normals=normals, offsets=offsets)
 
 
-def frames_of_field(played: PlayedObject, *, size: int = 448) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
+def frames_of_field(played: PlayedObject) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
     """Pictures of an object that is a convex field, by the convex renderer; the camera of `frames_of`, no floor."""
     field = played.convexes[0]
     assert field is not None
-    low, high = played.positions.min((0, 1)), played.positions.max((0, 1))
-    centre, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
-    eye = centre + 3.6 * reach * np.array([0.35, -0.9, 0.32])
-    camera = look_at(eye, centre, width=size, height=size, vertical_field_of_view=_FIELD_OF_VIEW)
+    eye, middle, _ = played.viewpoint()
+    camera = look_at(eye, middle, width=_SIZE, height=_SIZE, vertical_field_of_view=_FIELD_OF_VIEW)
     moved = (one.to(torch.float32) for one in moving_fields(field, played.trajectory))
     return film(moved, [camera] * len(played.positions))

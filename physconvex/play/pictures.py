@@ -28,11 +28,6 @@ def floor_displacement(floor: FloorConfig, time: float) -> Float[np.ndarray, " 3
     return velocity * (1 - np.cos(turns * time)) / turns
 
 
-def _tile_size(played: PlayedObject) -> float:
-    """Edge of a floor tile [m]: about a third of the object."""
-    return float(np.ptp(played.positions[0], axis=0).max()) / 3
-
-
 def _floor(center: np.ndarray, tile: float, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Vertices [P, 3], quads [F, 4] and their shade [F] of a chequered floor moved by `shift`."""
     corner = np.floor((center[:2] - shift[:2]) / tile) - _TILES // 2
@@ -86,17 +81,16 @@ def frames_of(
     import pyvista
 
     load_triton_first()
-    low, high = played.positions.min((0, 1)), played.positions.max((0, 1))
-    center, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+    eye, center, reach = played.viewpoint()
     plotter: Any = pyvista.Plotter(off_screen=True, window_size=[size, size], lighting="three lights")
     try:
         plotter.set_background("white")
-        plotter.camera.position = tuple(center + 3.6 * reach * np.array([0.35, -0.9, 0.32]))
+        plotter.camera.position = tuple(eye)
         plotter.camera.focal_point, plotter.camera.up = tuple(center), (0.0, 0.0, 1.0)
         plotter.camera.view_angle = 30.0
         bodies = _Bodies(plotter, played)
-        floor, tile = played.config.floor, _tile_size(played)
-        ground = None
+        floor, ground = played.config.floor, None
+        tile = float(np.ptp(played.positions[0], axis=0).max()) / 3
         for number in range(len(played.positions)) if show is None else show:
             bodies.show(number)
             if floor is not None:

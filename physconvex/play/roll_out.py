@@ -23,9 +23,8 @@ from physconvex.materials import (
     with_strain_stiffening,
 )
 from physconvex.mesh import TetMesh, enclosed_volume, tetrahedralize, with_volume
-from physconvex.play.assets import Asset
+from physconvex.play.assets import Asset, RestSurface
 from physconvex.play.config import BodyMaterialConfig, FloorConfig, PlayConfig
-from physconvex.play.surface import RestSurface
 from physconvex.reduced import (
     BodySamples,
     ReducedBodies,
@@ -78,6 +77,12 @@ class PlayedObject:
         """That of the first body."""
         return self.trajectories[0]
 
+    def viewpoint(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"], float]:
+        """Eye [m] a little above the floor, middle [m] and half extent [m] of the motion, for pictures of it."""
+        low, high = self.positions.min((0, 1)), self.positions.max((0, 1))
+        middle, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+        return middle + 3.6 * reach * np.array([0.35, -0.9, 0.32]), middle, reach
+
     @property
     def mass(self) -> float:
         """Of all bodies [kg]."""
@@ -99,10 +104,7 @@ class _Prepared:
 
 
 def play(
-    surface: RestSurface | Asset,
-    config: PlayConfig | None = None,
-    *,
-    on_frame: Callable[[State], None] | None = None,
+    surface: RestSurface | Asset, config: PlayConfig | None = None, *, on_frame: Callable[[State], None] | None = None
 ) -> PlayedObject:
     """Simulate a surface, or a convex field, as a solid reduced body.
 

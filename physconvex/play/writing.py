@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 from pydantic import JsonValue
 
 import physconvex
@@ -66,7 +67,10 @@ def write_played(
     )
     write_fields(played, out)
     if ply:
-        _write_frames(played, out / "frames")
+        (out / "frames").mkdir(exist_ok=True)
+        for number, vertices in enumerate(played.positions):
+            mesh = trimesh.Trimesh(vertices, played.surface.faces, process=False)
+            mesh.export(out / "frames" / f"{number:06d}.ply")
     if glb:
         times = played.trajectory.times
         write_animated_glb(out / "animation.glb", times, played.positions, played.surface.faces)
@@ -80,12 +84,3 @@ def write_played(
         "summary": summary_of(played),
     }
     (out / "simulation.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-
-
-def _write_frames(played: PlayedObject, folder: Path) -> None:
-    import trimesh
-
-    folder.mkdir(exist_ok=True)
-    for number, vertices in enumerate(played.positions):
-        mesh = trimesh.Trimesh(vertices, played.surface.faces, process=False)
-        mesh.export(folder / f"{number:06d}.ply")

@@ -9,6 +9,8 @@ from .field_fit import (
     begin as begin,
     fit_field as fit_field,
     image_loss as image_loss,
+    load_fit as load_fit,
+    save_fit as save_fit,
 )
 from .field_refinement import (
     RefinedField as RefinedField,
@@ -16,7 +18,6 @@ from .field_refinement import (
     refine_field as refine_field,
     simplify as simplify,
 )
-from .fit_file import load_fit as load_fit, save_fit as save_fit
 from .gap_filling import fill_gaps as fill_gaps
 from .observation import Observation as Observation, observation_of as observation_of
 from .row_adam import RowAdam as RowAdam

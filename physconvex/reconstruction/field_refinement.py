@@ -91,21 +91,14 @@ def refine_field(
     large[chosen] = extent[chosen] > DIVISIBLE * footprint
     small = torch.zeros_like(large)
     small[chosen] = ~large[chosen]
-    return _divided(field, _Division(keep, large, small, fixed), generator)
+    return _divided(field, generator, keep=keep, large=large, small=small, fixed=fixed)
 
 
-@dataclass(frozen=True)
-class _Division:
-    """Convexes that are kept, split, cloned, and fixed, each of shape [N]."""
-
-    keep: Tensor
-    split: Tensor
-    clone: Tensor
-    fixed: Tensor
-
-
-def _divided(field: ConvexField, division: _Division, generator: torch.Generator) -> RefinedField:
-    keep, large, small, extent = division.keep, division.split, division.clone, _extent(field)
+def _divided(
+    field: ConvexField, generator: torch.Generator, *, keep: Tensor, large: Tensor, small: Tensor, fixed: Tensor
+) -> RefinedField:
+    """The convexes that are kept, those split (`large`) and those cloned (`small`), each mask of shape [N]."""
+    extent = _extent(field)
     overlap = 2.0 / (field.smoothness * field.sharpness)
     whole, parents = (keep & ~large).nonzero()[:, 0], large.nonzero()[:, 0]
     parts = halve(field.points[parents], torch.minimum(overlap, 0.2 * extent)[parents])
@@ -124,7 +117,7 @@ def _divided(field: ConvexField, division: _Division, generator: torch.Generator
     doubled = small[sources]
     opacity = torch.where(doubled, 1 - (1 - joined.opacity).clamp(min=0).sqrt(), joined.opacity)
     new = replace(joined, opacity=opacity)
-    return RefinedField(new, sources, fresh, division.fixed[sources], int((~keep).sum()), len(parents), len(clones))
+    return RefinedField(new, sources, fresh, fixed[sources], int((~keep).sum()), len(parents), len(clones))
 
 
 @torch.no_grad()

@@ -67,20 +67,31 @@ def fillers(mesh: trimesh.Trimesh, *, depth: float, most: int) -> Float[np.ndarr
     cells = min(LATTICE, max(4, int(np.ceil(np.sqrt(3) * size / max(depth, size / LATTICE)))))  # no gaps to the prisms
     while cells >= 4 and most >= 2:
         edge = size / cells
-        inside = _cells_inside(mesh, tree, low, edge)
-        boxes = _joined(inside)
+        boxes = _joined(_cells_inside(mesh, tree, edge))
         if 2 * len(boxes) <= most:
-            spans = (boxes[:, 1] - boxes[:, 0] + 0.1)[:, None] * BOX_POINTS + boxes[:, :1] - 0.05
-            return (low + edge * spans)[:, WEDGES].reshape(-1, 6, 3)
+            return wedges(boxes, low, edge, overlap=0.05)
         cells = int(0.85 * cells)
     return np.zeros((0, 6, 3))
 
 
-def _cells_inside(mesh: trimesh.Trimesh, tree: cKDTree, low: np.ndarray, edge: float) -> Bool[np.ndarray, "X Y Z"]:
-    """Cells that are inside as a whole."""
+def wedges(
+    boxes: Int[np.ndarray, "B 2 3"], low: Float[np.ndarray, " 3"], edge: float, *, overlap: float = 0.0
+) -> Float[np.ndarray, "W 6 3"]:
+    """Two wedges of six points [m] for each box of lattice cells; boxes are widened by an overlap, in cells."""
+    spans = (boxes[:, 1] - boxes[:, 0] + 2 * overlap)[:, None] * BOX_POINTS + boxes[:, :1] - overlap
+    return (low + edge * spans)[:, WEDGES].reshape(-1, 6, 3)
+
+
+def lattice_cells(mesh: trimesh.Trimesh, edge: float) -> tuple[Int[np.ndarray, " 3"], Float[np.ndarray, "C 3"]]:
+    """Number of cells along each axis of a lattice about a mesh, and their middles [m]."""
     shape = np.ceil(np.ptp(mesh.bounds, axis=0) / edge).astype(int)
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)
-    centres = (low + edge * (grid + 0.5)).reshape(-1, 3)
+    return shape, (mesh.bounds[0] + edge * (grid + 0.5)).reshape(-1, 3)
+
+
+def _cells_inside(mesh: trimesh.Trimesh, tree: cKDTree, edge: float) -> Bool[np.ndarray, "X Y Z"]:
+    """Cells that are inside as a whole."""
+    shape, centres = lattice_cells(mesh, edge)
     half_diagonal = 0.5 * np.sqrt(3) * edge
     deep = np.flatnonzero(tree.query(centres)[0] > half_diagonal)
     inside = np.zeros(len(centres), dtype=bool)
@@ -109,9 +120,9 @@ def _joined(inside: Bool[np.ndarray, "X Y Z"]) -> Int[np.ndarray, "B 2 3"]:
     return np.array(boxes, dtype=np.int64).reshape(-1, 2, 3)
 
 
-def octahedra(points: Float[np.ndarray, "P 3"], *, neighbours: int = 3) -> Float[np.ndarray, "P 6 3"]:
-    """An octahedron about each point, of the size of the mean distance to the nearest others."""
-    distance = cKDTree(points).query(points, k=[*range(2, 2 + min(neighbours, len(points) - 1))])[0]
+def octahedra(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 6 3"]:
+    """An octahedron about each point, of the size of the mean distance to the three nearest others."""
+    distance = cKDTree(points).query(points, k=[*range(2, 2 + min(3, len(points) - 1))])[0]
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     return points[:, None] + distance.mean(axis=1)[:, None, None] * axes
 

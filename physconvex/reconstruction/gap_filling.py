@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from physconvex.convex import ConvexField, half_spaces, inside_union
-from physconvex.reconstruction.first_convexes import BOX_POINTS, UNPAINTED, WEDGES
+from physconvex.reconstruction.first_convexes import UNPAINTED, WEDGES, lattice_cells, wedges
 
 CELL = 2.0  # footprints
 MARGIN = 0.25  # footprints: cells this near to a hull count as covered
@@ -35,22 +35,14 @@ def fill_gaps(field: ConvexField, surface: trimesh.Trimesh, *, footprint: float,
         return field
     low, size = surface.bounds[0], float(np.ptp(surface.bounds, axis=0).max())
     edge = max(CELL * footprint, size / LONGEST)
-    inside = _inside(surface, low, edge)
+    shape, middles = lattice_cells(surface, edge)
+    inside = np.asarray(surface.contains(middles)).reshape(shape)
     open_cells = _uncovered(field, inside, low, edge, MARGIN * footprint)
     boxes, gains = grown_boxes(open_cells, inside)
     boxes = boxes[np.argsort(-gains, kind="stable")[: most // 2]]
     if not len(boxes):
         return field
-    corners = boxes[:, :1] + (boxes[:, 1] - boxes[:, 0])[:, None] * BOX_POINTS
-    return _joined_to(field, (low + edge * corners)[:, WEDGES].reshape(-1, 6, 3))
-
-
-def _inside(surface: trimesh.Trimesh, low: np.ndarray, edge: float) -> Bool[np.ndarray, "X Y Z"]:
-    """Cells whose middle lies inside."""
-    shape = np.ceil(np.ptp(surface.bounds, axis=0) / edge).astype(int)
-    grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)
-    middles = (low + edge * (grid + 0.5)).reshape(-1, 3)
-    return np.asarray(surface.contains(middles)).reshape(shape)
+    return _joined_to(field, wedges(boxes, low, edge))
 
 
 def _uncovered(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -39,22 +40,24 @@ class Observation:
         """The camera as tensors, where the image is."""
         return View.of(self.camera, device=self.image.device)
 
+    def _mapped(self, function: Callable[[Tensor], Tensor], camera: Camera | None = None) -> Observation:
+        """The observation of `function(map)`, by another camera if one is given."""
+        maps = map(function, (self.image, self.background, self.coverage))
+        return Observation(camera or self.camera, *maps)
+
     def to(self, device: torch.device | str) -> Observation:
         """The observation on another device."""
-        maps = (tensor.to(device) for tensor in (self.image, self.background, self.coverage))
-        return Observation(self.camera, *maps)
+        return self._mapped(lambda tensor: tensor.to(device))
 
     def resized(self, scale: float) -> Observation:
         """The same field of view at a scale of the number of pixels (mean over areas); on the CPU."""
         if scale == 1:
             return self
-        width, height = (max(8, round(scale * size)) for size in (self.camera.w, self.camera.h))
-
-        def shrink(tensor: Tensor) -> Tensor:
-            return torch.from_numpy(cv2.resize(tensor.numpy(), (width, height), interpolation=cv2.INTER_AREA))
-
-        maps = (shrink(tensor) for tensor in (self.image, self.background, self.coverage))
-        return Observation(self.camera.resized(width, height), *maps)
+        size = [max(8, round(scale * edge)) for edge in (self.camera.w, self.camera.h)]
+        return self._mapped(
+            lambda tensor: torch.from_numpy(cv2.resize(tensor.numpy(), size, interpolation=cv2.INTER_AREA)),
+            self.camera.resized(*size),
+        )
 
     def cropped(self) -> Observation:
         """The part around the object; the rest only shows that the object is not there."""
@@ -63,20 +66,13 @@ class Observation:
             return self
         top, left = max(0, int(rows[0]) - MARGIN), max(0, int(columns[0]) - MARGIN)
         bottom, right = int(rows[-1]) + 1 + MARGIN, int(columns[-1]) + 1 + MARGIN
-        maps = (tensor[top:bottom, left:right].contiguous() for tensor in (self.image, self.background, self.coverage))
-        image, background, coverage = maps
-        old = self.camera
-        camera = Camera(
-            old.name, image.shape[1], image.shape[0], old.fl_x, old.fl_y, old.cx - left, old.cy - top,
-            old.transform_matrix, old.k1, old.k2,
-        )  # fmt: skip
-        return Observation(camera, image, background, coverage)
+        height, width = self.coverage[top:bottom, left:right].shape
+        camera = replace(self.camera, w=width, h=height, cx=self.camera.cx - left, cy=self.camera.cy - top)
+        return self._mapped(lambda tensor: tensor[top:bottom, left:right].contiguous(), camera)
 
 
 def observation_of(
-    camera: Camera,
-    frame: UInt8[np.ndarray, "H W 3"],
-    coverage: UInt8[np.ndarray, "H W"] | Bool[np.ndarray, "H W"],
+    camera: Camera, frame: UInt8[np.ndarray, "H W 3"], coverage: UInt8[np.ndarray, "H W"] | Bool[np.ndarray, "H W"]
 ) -> Observation:
     """An observation from a picture and the object's silhouette.
 

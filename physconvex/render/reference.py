@@ -49,10 +49,7 @@ def composite_reference(splats: Splats, coordinates: Float[Tensor, "H W 2"]) -> 
 
 def _joined(parts: list[Layers], dim: int) -> Layers:
     """Parts of an image side by side or one above the other."""
-    features, transmittance, heaviest = (
-        torch.cat([getattr(part, entry.name) for part in parts], dim=dim) for entry in fields(Layers)
-    )
-    return Layers(features, transmittance, heaviest)
+    return Layers(*(torch.cat([getattr(part, entry.name) for part in parts], dim=dim) for entry in fields(Layers)))
 
 
 def _padded(splats: Splats) -> tuple[Int[Tensor, "M H"], Tensor]:
@@ -90,8 +87,4 @@ def _blend(splats: Splats, place: Tensor, missing: Tensor, block: Float[Tensor, 
     alpha = torch.where(before < LEAST_TRANSMITTANCE, torch.zeros_like(alpha), alpha)
     weights = alpha * before
     most, which = weights.detach().max(dim=-1)
-    return Layers(
-        weights @ splats.features[chosen],
-        (1 - alpha).prod(dim=-1),
-        torch.where(most > 0, chosen[which], -1),
-    )
+    return Layers(weights @ splats.features[chosen], (1 - alpha).prod(dim=-1), torch.where(most > 0, chosen[which], -1))

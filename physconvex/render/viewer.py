@@ -86,12 +86,7 @@ class FieldViewer:
     """
 
     def __init__(
-        self,
-        fields: Sequence[tuple[str, ConvexField]],
-        *,
-        host: str = "127.0.0.1",
-        port: int = 8080,
-        size: int = 720,
+        self, fields: Sequence[tuple[str, ConvexField]], *, host: str = "127.0.0.1", port: int = 8080, size: int = 720
     ) -> None:
         """Start serving.
 

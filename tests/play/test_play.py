@@ -114,7 +114,7 @@ def test_orientation_turns_the_object():
     bar = trimesh.creation.box((0.4, 0.2, 0.1))
     surface = load_surface(bar)
     config = load_play_config(overrides=["object.orientation_deg=[0,90,0]", "object.drop_height=0.25"]).object
-    placed = surface.placed(config)
+    placed = surface.moved(*surface.placement(config))
     np.testing.assert_allclose(np.ptp(placed.vertices, axis=0), [0.1, 0.2, 0.4], atol=1e-12)
     assert placed.vertices[:, 2].min() == pytest.approx(0.25)
 

@@ -46,12 +46,8 @@ class Boundary:
         if box is not None and (box.shape != (2, 3) or not (box[0] <= box[1]).all()):
             raise InputError(f"boundary: clamped_box: got {box.tolist()}, expected [[lowest], [highest]] corner")
         if motion is not None:
-            count = (
-                motion.shape[1]
-                if vertices is None and motion.ndim == 3
-                else len(vertices if vertices is not None else ())
-            )
-            if motion.ndim != 3 or motion.shape[1:] != (count, 3) or not np.isfinite(motion).all():
+            fits = motion.ndim == 3 and motion.shape[2] == 3 and (vertices is None or motion.shape[1] == len(vertices))
+            if not (fits and np.isfinite(motion).all()):
                 raise InputError(f"boundary: motion: got shape {motion.shape}, expected finite [T, C, 3]")
 
 

@@ -114,11 +114,8 @@ def _times(probe: Probe, decoded: Decoded) -> tuple[Float64[np.ndarray, " T"], f
         return timestamps, probe.rate or 24.0, []
     mean, steps = float((count - 1) / timestamps[-1]), np.diff(timestamps)
     if np.ptp(steps) > 0.25 * np.median(steps):
-        return (
-            timestamps,
-            mean,
-            [f"variable frame rate ({1 / steps.max():.3g} to {1 / steps.min():.3g} per second)"],
-        )
+        rates = f"{1 / steps.max():.3g} to {1 / steps.min():.3g} per second"
+        return timestamps, mean, [f"variable frame rate ({rates})"]
     if probe.rate is not None and abs(probe.rate / mean - 1) < 0.01:  # header: exact; times: rounded
         return np.arange(count) / probe.rate, probe.rate, []
     return timestamps, mean, []

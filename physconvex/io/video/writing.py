@@ -17,12 +17,7 @@ _MACROBLOCK_TREE_WIDTH = 128
 
 
 def write_video(
-    path: Path | str,
-    frames: np.ndarray | Iterable[np.ndarray],
-    *,
-    fps: float,
-    crf: int = 18,
-    preset: str = "medium",
+    path: Path | str, frames: np.ndarray | Iterable[np.ndarray], *, fps: float, crf: int = 18, preset: str = "medium"
 ) -> None:
     """Write frames (uint8 RGB, shape [T, H, W, 3]) as H.264 (yuv420p, mp4), atomically and bit-deterministically.
 

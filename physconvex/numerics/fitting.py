@@ -1,4 +1,4 @@
-"""Derivatives updated from place to place by changes of the function itself (Broyden 1965)."""
+"""Parts of fits: derivatives updated by changes of the function itself (Broyden 1965), and Huber's loss."""
 
 from __future__ import annotations
 
@@ -36,3 +36,16 @@ def broyden_update(
         return slope
     unexplained = change - moved_along(slope, step)
     return np.asarray(slope + unexplained[:, None] * (scaled / scales / square)[None, :, None, None])
+
+
+def huber_loss(residuals: Float[np.ndarray, " N"], limits: Float[np.ndarray, " N"]) -> float:
+    """Σ r²/2 where |r| ≤ k, k (|r| − k/2) beyond (Huber 1964); k = inf is least squares."""
+    size = np.abs(residuals)
+    inside = size <= limits
+    straight = limits[~inside] * (size[~inside] - 0.5 * limits[~inside])
+    return 0.5 * float((size[inside] ** 2).sum()) + float(straight.sum())
+
+
+def huber_weights(residuals: Float[np.ndarray, " N"], limits: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+    """Weights min(1, k/|r|) for which least squares have the gradient of that loss."""
+    return np.minimum(1.0, limits / np.maximum(np.abs(residuals), 1e-300))

@@ -1,4 +1,4 @@
-"""A convex field as a PLY file: one element `convex` per convex, every number exact."""
+"""A convex field as a file: PLY, one element `convex` per convex and every number exact, or its hulls as a mesh."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import trimesh
 
-from physconvex.convex.field import ConvexField
-from physconvex.convex.spherical_harmonics import GREATEST_DEGREE
+from physconvex.convex.field import ConvexField, numbers
+from physconvex.convex.hull_points import hull_triangles
+from physconvex.convex.spherical_harmonics import GREATEST_DEGREE, MIDDLE, harmonic_basis
 from physconvex.errors import InputError
 
 HEADER = "ply\nformat binary_little_endian 1.0\n"
@@ -89,3 +91,43 @@ def _layout(path: Path, lines: list[list[str]]) -> tuple[int, str, list[str]]:
         if len(rows) == len(lines) - 1 and len(kinds) == 1 and names in known:
             return int(lines[0][2]), kinds.pop(), names
     raise InputError(f"{path}: no convex field: expected one element `convex` with the properties that write_ply names")
+
+
+def hull_mesh(field: ConvexField) -> trimesh.Trimesh:
+    """All hulls as one mesh [m], each vertex with its convex's mean colour and opacity.
+
+    Flat convexes, which have no hull, are omitted; the mesh is empty if all are flat.
+    """
+    colours = _mean_colours(field)
+    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    count = 0
+    for points, colour in zip(numbers(field.points), colours, strict=True):
+        if np.linalg.matrix_rank(points - points[0], tol=1e-9 * np.ptp(points)) == 3:
+            corners, triangles = hull_triangles(points)
+            parts.append((points[corners], triangles + count, np.tile(colour, (len(corners), 1))))
+            count += len(corners)
+    if not parts:
+        return trimesh.Trimesh()
+    vertices, faces, rgba = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return trimesh.Trimesh(vertices, faces, vertex_colors=rgba, process=False)
+
+
+def write_glb(field: ConvexField, path: str | Path) -> None:
+    """Write the hulls for any viewer of glTF files.
+
+    Raises:
+        InputError: no convex has a volume.
+    """
+    mesh = hull_mesh(field)
+    if mesh.is_empty:
+        raise InputError("field: no convex has a volume; there is nothing to write")
+    mesh.export(Path(path), file_type="glb")
+
+
+def _mean_colours(field: ConvexField) -> np.ndarray:
+    """Colour averaged over directions (the first coefficient) and opacity, [N, 4] of 0 to 255."""
+    up = torch.tensor([0.0, 0.0, 1.0], dtype=field.points.dtype)
+    constant = harmonic_basis(up, 0)
+    rgb = MIDDLE + constant * field.harmonics[:, 0].detach().cpu()
+    rgba = torch.cat([rgb, field.opacity.detach().cpu()[:, None]], dim=1).clamp(0, 1)
+    return (rgba * 255).round().to(torch.uint8).numpy()
