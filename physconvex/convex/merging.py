@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from jaxtyping import Float, Int
@@ -15,15 +13,6 @@ from physconvex.convex.splitting import Division
 from physconvex.errors import InputError
 
 NEIGHBOURS = 8  # pairs tried per convex
-
-
-@dataclass(frozen=True)
-class _Pair:
-    """Two convexes, the points of the hull that replaces them, and its missing volume [m³]."""
-
-    convexes: tuple[int, int]
-    hull: Float[np.ndarray, "K 3"]
-    lost: float
 
 
 def merge(
@@ -44,8 +33,9 @@ def merge(
     points = numbers(field.points)
     volumes = np.array([hull_volume(some) for some in points])
     colours = numbers(field.harmonics.flatten(1))
-    free = np.ones(len(field), dtype=bool)
-    pairs: list[_Pair] = []
+    free, lost = np.ones(len(field), dtype=bool), 0.0
+    pairs: list[tuple[int, int]] = []
+    hulls: list[np.ndarray] = []
     for first, second in _neighbours(points.mean(axis=1)).tolist():
         if limit is not None and len(field) - len(pairs) <= limit:
             break
@@ -63,8 +53,21 @@ def merge(
         ):
             continue
         free[[first, second]] = False
-        pairs.append(_Pair((first, second), padded_points(hull, points.shape[1]), before - hull_volume(hull)))
-    return _merged(field, volumes, np.flatnonzero(free), pairs)
+        pairs.append((first, second))
+        hulls.append(padded_points(hull, points.shape[1]))
+        lost += max(0.0, before - hull_volume(hull))
+    if not pairs:
+        return Division(field, torch.arange(len(field)), 0.0)
+    left, chosen = torch.as_tensor(np.flatnonzero(free)), torch.as_tensor(pairs)
+    weights = torch.as_tensor(volumes)[chosen] + torch.finfo(torch.float64).tiny
+    weights = (weights / weights.sum(dim=1, keepdim=True)).to(field.points)
+
+    def join(tensor: torch.Tensor) -> torch.Tensor:
+        mean = (weights.reshape(*weights.shape, *[1] * (tensor.ndim - 1)) * tensor[chosen]).sum(dim=1)
+        return torch.cat([tensor[left], mean])
+
+    new = torch.cat([field.points[left], torch.as_tensor(np.array(hulls)).to(field.points)])
+    return Division(field.map(join).with_points(new), torch.cat([left, chosen[:, 0]]), lost)
 
 
 def _neighbours(centres: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "P 2"]:
@@ -77,21 +80,3 @@ def _neighbours(centres: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "P 2"]:
     pairs = pairs[order][pairs[order, 0] < pairs[order, 1]]
     _, first = np.unique(pairs, axis=0, return_index=True)
     return pairs[np.sort(first)]
-
-
-def _merged(field: ConvexField, volumes: np.ndarray, free: np.ndarray, pairs: list[_Pair]) -> Division:
-    left = torch.as_tensor(free)
-    if not pairs:
-        return Division(field, left, 0.0)
-    chosen = torch.as_tensor([pair.convexes for pair in pairs])
-    weights = torch.as_tensor(volumes)[chosen] + torch.finfo(torch.float64).tiny
-    weights = (weights / weights.sum(dim=1, keepdim=True)).to(field.points)
-
-    def join(tensor: torch.Tensor) -> torch.Tensor:
-        both = tensor[chosen]
-        mean = (weights.reshape(*weights.shape, *[1] * (tensor.ndim - 1)) * both).sum(dim=1)
-        return torch.cat([tensor[left], mean])
-
-    new = torch.cat([field.points[left], torch.as_tensor(np.array([pair.hull for pair in pairs])).to(field.points)])
-    merged = field.map(join).with_points(new)
-    return Division(merged, torch.cat([left, chosen[:, 0]]), sum(max(0.0, pair.lost) for pair in pairs))

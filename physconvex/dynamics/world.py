@@ -92,15 +92,10 @@ class World:
             youngs_modulus: the largest of the body [Pa].
             size: of the body [m].
         """
-        stiffness, smoothing, slip = contact_defaults(youngs_modulus, size)
-        return Contact(
-            obstacles=tuple(self.obstacles),
-            areas=areas,
-            stiffness=stiffness if self.contact_stiffness is None else self.contact_stiffness,
-            smoothing=smoothing if self.contact_smoothing is None else self.contact_smoothing,
-            slip_velocity=slip if self.slip_velocity is None else self.slip_velocity,
-            damping=self.contact_damping,
-        )
+        given = self.contact_stiffness, self.contact_smoothing, self.slip_velocity
+        usual = contact_defaults(youngs_modulus, size)
+        stiffness, smoothing, slip = (u if g is None else g for g, u in zip(given, usual, strict=True))
+        return Contact(tuple(self.obstacles), areas, stiffness, smoothing, slip, self.contact_damping)
 
 
 SceneT = TypeVar("SceneT", bound=World)

@@ -61,14 +61,15 @@ from .rigid_drift import (
     model_drift as model_drift,
 )
 from .roll_outs import RollOut as RollOut, RollOuts as RollOuts
-from .snapshot_weights import enriched as enriched, with_weights as with_weights
 from .twin import (
     Twin as Twin,
     TwinOptions as TwinOptions,
     base_twin as base_twin,
     coarse_mesh as coarse_mesh,
+    enriched as enriched,
     mesh_of_capture as mesh_of_capture,
     surface_of_capture as surface_of_capture,
+    with_weights as with_weights,
 )
 from .uncertainty import (
     Identifiability as Identifiability,

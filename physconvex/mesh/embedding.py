@@ -194,9 +194,9 @@ def _nearest_element(
     The nearest of the boundary faces whose centres are close. If several are equally near (at an edge or a corner), the
     one whose element is extrapolated least.
     """
-    owner, faces = _boundary_faces_with_owner(mesh)
-    triangles = mesh.vertices[faces]
-    count = min(CANDIDATES, len(faces))
+    boundary = mesh.boundary_rows
+    owner, triangles = boundary // 4, mesh.vertices[mesh.corner_tets[:, FACE_CORNERS].reshape(-1, 3)[boundary]]
+    count = min(CANDIDATES, len(triangles))
     near = cKDTree(triangles.mean(axis=1)).query(points, k=[*range(1, count + 1)])[1]
     feet = closest_points(triangles[near], points[:, None])
     gaps = np.linalg.norm(points[:, None] - feet, axis=-1)
@@ -205,11 +205,3 @@ def _nearest_element(
     tied = np.linalg.norm(feet - feet[row, closest][:, None], axis=-1) <= 1e-9 * mesh.size
     best = np.where(tied, depth, -np.inf).argmax(axis=1)
     return owner[near[row, best]], feet[row, best], gaps[row, closest]
-
-
-def _boundary_faces_with_owner(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
-    """Element [F] and corners [F, 3] of every boundary face."""
-    faces = mesh.corner_tets[:, FACE_CORNERS].reshape(-1, 3)
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    single = first[count == 1]
-    return single // 4, faces[single]

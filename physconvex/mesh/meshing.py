@@ -202,9 +202,7 @@ def _best_mesh(
 
 def _simplified_mesh(vertices: np.ndarray, faces: np.ndarray, max_nodes: int, order: Literal[1, 2]) -> TetMesh:
     """A simplified surface of few triangles, with its interior filled closely."""
-    volume = enclosed_volume(vertices, faces)
-    if volume is None:
-        raise InputError('surface: open or inside out; close it and orient it outwards, or use method="ftetwild"')
+    volume = _volume_inside(vertices, faces)
     settings, nodes = [(max_nodes / NODES_PER_TRIANGLE[order], SIMPLIFIED_EPSILON)], 0
     found: list[tuple[float, TetMesh]] = []
     for _ in range(SIMPLIFICATIONS + DRAWS):
@@ -232,6 +230,13 @@ def _simplified_mesh(vertices: np.ndarray, faces: np.ndarray, max_nodes: int, or
     )
 
 
+def _volume_inside(vertices: np.ndarray, faces: np.ndarray) -> float:
+    volume = enclosed_volume(vertices, faces)
+    if volume is None:
+        raise InputError('surface: open or inside out; close it and orient it outwards, or use method="ftetwild"')
+    return volume
+
+
 def _lattice_mesh(
     vertices: np.ndarray,
     faces: np.ndarray,
@@ -242,8 +247,7 @@ def _lattice_mesh(
     """Mesh of a closed surface by the lattice mesher."""
     used, index = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], index.reshape(-1, 3)
-    if enclosed_volume(vertices, faces) is None:
-        raise InputError('surface: open or inside out; close it and orient it outwards, or use method="ftetwild"')
+    _volume_inside(vertices, faces)
     field = surface_distance(vertices, faces) if signed_distance is None else signed_distance
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
     return tetrahedralize_implicit(field, bounds, surface=(vertices, faces), max_nodes=max_nodes, order=order)

@@ -126,10 +126,14 @@ class TetMesh:
     def boundary_faces(self) -> Int[np.ndarray, "F n"]:
         """Outward boundary faces: [F, 3] corners; quadratic meshes [F, 6] with the nodes of edges 01, 12, 20."""
         columns = FACE_CORNERS if self.order == 1 else np.hstack([FACE_CORNERS, FACE_MIDDLES])
-        faces = self.tets[:, columns].reshape(-1, columns.shape[1])
-        key = np.sort(faces[:, :3], axis=1)
-        _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
-        return faces[np.sort(first[count == 1])]
+        return self.tets[:, columns].reshape(-1, columns.shape[1])[np.sort(self.boundary_rows)]
+
+    @cached_property
+    def boundary_rows(self) -> Int[np.ndarray, " F"]:
+        """Numbers of the boundary faces among the four of each element, ordered by the faces' corners."""
+        faces = np.sort(self.corner_tets[:, FACE_CORNERS].reshape(-1, 3), axis=1)
+        _, first, count = np.unique(faces, axis=0, return_index=True, return_counts=True)
+        return first[count == 1]
 
     @cached_property
     def surface(self) -> tuple[Float[np.ndarray, "S 3"], Int[np.ndarray, "F 3"]]:

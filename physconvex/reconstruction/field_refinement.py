@@ -11,8 +11,7 @@ from torch import Tensor
 
 from physconvex.convex import ConvexField, halve
 from physconvex.errors import InputError
-from physconvex.reconstruction.observation import Observation
-from physconvex.reconstruction.pixel_weights import gather
+from physconvex.reconstruction.observation import Observation, gather
 from physconvex.render import render
 
 LEAST_OPACITY = 0.03

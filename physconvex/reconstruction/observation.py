@@ -1,4 +1,4 @@
-"""Observation by one camera: image, background, and coverage of the object."""
+"""Observation by one camera: image, background, coverage of the object; images summed over what a convex explains."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from physconvex.convex import ConvexField
 from physconvex.errors import InputError
 from physconvex.io import Camera
-from physconvex.render import View
+from physconvex.render import View, splat
 
 SOFT_RIM = 2  # pixels around a binary mask that the object may touch
 MARGIN = 6  # pixels kept around the object when an observation is cropped
@@ -118,3 +119,37 @@ def _continued(colours: np.ndarray, inside: np.ndarray) -> np.ndarray:
         known = np.clip(weight * 20, 0, 1)
         filled = np.asarray(known * mean + (1 - known) * filled)
     return np.where(outside[..., None] > 0, colours, filled).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """Sums over the pixels p of one or more views, w_ip being the weight of convex i in pixel p.
+
+    Attributes:
+        weights: Σ_p w_ip, shape [N]: how many pixels a convex explains.
+        values: Σ_p w_ip v_p of the given three-channel images v, shape [N, 3].
+    """
+
+    weights: Float[Tensor, " N"]
+    values: Float[Tensor, "N 3"]
+
+    def means(self, fallback: Float[Tensor, " 3"]) -> Float[Tensor, "N 3"]:
+        """Weighted mean of v over the pixels of each convex; `fallback` for those that explain hardly any pixel."""
+        seen = self.weights > 1e-3
+        return torch.where(seen[:, None], self.values / torch.where(seen, self.weights, 1.0)[:, None], fallback)
+
+
+def gather(field: ConvexField, view: View, image: Float[Tensor, "H W 3"]) -> Gathered:
+    """Gather an image of a view.
+
+    Rendering is linear in the blended features, so its transpose applied to the image (one backward pass with the image
+    as the gradient) gives exactly the sums.
+    """
+    with torch.no_grad():
+        splats, composite = splat(field, view)
+    features = splats.features.detach().requires_grad_()
+    layers = composite(replace(splats, features=features), view.pixel_coordinates())
+    ones = torch.ones_like(image[..., :1])
+    (sums,) = torch.autograd.grad(layers.features, features, torch.cat([image, ones], dim=-1))
+    found = sums.new_zeros((len(field), 4)).index_add_(0, splats.convex, sums)
+    return Gathered(found[:, 3], found[:, :3])

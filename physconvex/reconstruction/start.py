@@ -16,8 +16,7 @@ from physconvex.errors import InputError
 from physconvex.reconstruction.carving import footprint, visual_hull
 from physconvex.reconstruction.config import ReconstructionConfig, StartKind
 from physconvex.reconstruction.first_convexes import UNPAINTED, fillers, octahedra, prisms, with_count
-from physconvex.reconstruction.observation import Observation
-from physconvex.reconstruction.pixel_weights import Gathered, gather
+from physconvex.reconstruction.observation import Gathered, Observation, gather
 from physconvex.reconstruction.triangles import even_triangles, welded
 
 OPACITY = 0.97

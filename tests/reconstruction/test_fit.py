@@ -20,7 +20,7 @@ from physconvex.reconstruction import (
     simplify,
     start_field,
 )
-from physconvex.reconstruction.pixel_weights import gather
+from physconvex.reconstruction.observation import gather
 from tests.reconstruction.scenes import ball_mesh, striped_ball, views
 
 SMALL = ReconstructionConfig(budget=700, steps=60, levels=(0.5, 1.0), level_shares=(0.25, 0.75), refinements=2)

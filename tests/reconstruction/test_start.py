@@ -24,7 +24,7 @@ from physconvex.reconstruction import (
     welded,
 )
 from physconvex.reconstruction.first_convexes import fillers, octahedra, prisms, with_count
-from physconvex.reconstruction.pixel_weights import gather
+from physconvex.reconstruction.observation import gather
 from physconvex.render import render
 from tests.convex.hulls import hull_volumes
 from tests.reconstruction.scenes import RADIUS, ball_mesh, striped_ball
