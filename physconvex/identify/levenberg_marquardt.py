@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.identify.observations import Observations, misfit_at
+from physconvex.identify.observations import Observations, model_misfit
 from physconvex.identify.parameters import Parameter, SearchCoordinates, lower_bounds, starts, step_scales, upper_bounds
 from physconvex.identify.point_models import PointModel, check_names
 from physconvex.numerics import huber_loss, huber_weights
@@ -223,7 +223,7 @@ class _Search:
 
         In that case the step is shortened, which needs no derivatives if these cost runs of their own.
         """
-        if self.differenced and not misfit_at(self.model, self.observations, values) + self._prior(values) < most:
+        if self.differenced and not model_misfit(self.model, self.observations, values) + self._prior(values) < most:
             self._count(_ALONE)
             return None
         try:

@@ -353,7 +353,7 @@ def misfit_of(observations: Observations, positions: Positions) -> float:
     return huber_loss(observations.residuals(positions), observations.robust_scales)
 
 
-def misfit_at(model: PointModel, observations: Observations, values: Values) -> float:
+def model_misfit(model: PointModel, observations: Observations, values: Values) -> float:
     """Misfit of a model; infinite where it fails."""
     try:
         return misfit_of(observations, model.positions(values))

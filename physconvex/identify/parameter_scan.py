@@ -13,7 +13,7 @@ import numpy as np
 
 from physconvex.errors import ConvergenceError
 from physconvex.identify.levenberg_marquardt import FitOptions, fit
-from physconvex.identify.observations import Observations, misfit_at
+from physconvex.identify.observations import Observations, model_misfit
 from physconvex.identify.parameters import Parameter, starts
 from physconvex.identify.point_models import PointModel
 from physconvex.io import Workers
@@ -75,7 +75,7 @@ def scan(
 
 
 def _misfit(model: PointModel, observations: Observations, start: tuple[Parameter, ...]) -> float:
-    return misfit_at(model, observations, starts(start))
+    return model_misfit(model, observations, starts(start))
 
 
 def with_best_modulus(
