@@ -76,11 +76,6 @@ class ConvexField(_Tensors):
         return len(self.points)
 
     @property
-    def degree(self) -> int:
-        """Degree of the spherical harmonics."""
-        return degree_of(self.harmonics.shape[1])
-
-    @property
     def centres(self) -> Float[Tensor, "N 3"]:
         """Mean of the points of each convex [m]."""
         return self.points.mean(dim=1)

@@ -8,7 +8,7 @@ last two steps estimate it and shorten the next one. Huber's loss enters by rewe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,12 +117,7 @@ class _Point:
 
 
 def fit(
-    model: PointModel,
-    observations: Observations,
-    parameters: Sequence[Parameter],
-    *,
-    options: FitOptions | None = None,
-    on_iteration: Callable[[Iteration], None] | None = None,
+    model: PointModel, observations: Observations, parameters: Sequence[Parameter], *, options: FitOptions | None = None
 ) -> Fit:
     """Fit a model to observations, from the starts of the parameters.
 
@@ -160,8 +155,6 @@ def fit(
                 longest = min(options.max_step, 2 * longest) if gain > 0.75 else 0.5 * float(np.abs(step).max())
             damping *= max(0.1, 1 - (2 * gain - 1) ** 3) if gain > 0.1 else 2.0
             history.append(Iteration(point.values, point.misfit, damping))
-            if on_iteration is not None:
-                on_iteration(history[-1])
         else:
             # damping hardly changes a bounded step: a failed step is halved instead
             last = None
