@@ -25,7 +25,7 @@ import numpy as np
 import torch
 
 from data_gen import SolverConfig, draw_drop, load_config, make_mesh
-from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.dynamics import Plane, simulate
 from physconvex.fem import ElasticBody, Scene
 
 RESULT = Path(__file__).parent / "results" / "contact_solvers.json"
@@ -117,17 +117,7 @@ def compared(number: int, modulus: float, frames: int) -> list[Row]:
 def timed(scene: Scene, solver: SolverConfig, frames: int) -> tuple[Any, tuple[float, float]]:
     """A roll-out, and its processor time and time [s]."""
     start = time.process_time(), time.perf_counter()
-    run = simulate(
-        scene,
-        Timing(
-            frames=frames,
-            steps_per_frame=solver.steps_per_frame,
-            flight_steps_per_frame=solver.flight_steps_per_frame,
-            contact_solver=solver.contact_solver,
-            friction_passes=solver.friction_passes,
-            tolerance=solver.tolerance,
-        ),
-    )
+    run = simulate(scene, solver.timing(frames))
     return run, (round(time.process_time() - start[0], 2), round(time.perf_counter() - start[1], 2))
 
 

@@ -26,7 +26,6 @@ from moving_field import SIZE, VIEWS, deformations, drawn, drop, placed
 
 from data_gen import (
     FLAT,
-    DrawnSurface,
     ObjectMesh,
     StillViews,
     load_user_mesh,
@@ -108,9 +107,8 @@ def motion_of(body: ObjectMesh, nodes: int) -> Motion:
     (camera,) = still_cameras(surface.reshape(-1, 3), StillViews(1, (12.0,), phase=0.13), SIZE)
     distance = float(np.linalg.norm(np.asarray(camera.position) - surface[worst].mean(axis=0)))
     pixel = distance / camera.fl_y
-    colours = DrawnSurface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
     seen = []
-    for rgba in rendered_frames(colours, camera, FLAT, surface[[0, worst]]):
+    for rgba in rendered_frames(body.drawn(), camera, FLAT, surface[[0, worst]]):
         values = torch.as_tensor(rgba.astype(np.float32) / 255)
         seen.append(values[..., 3:] * values[..., :3] + 1 - values[..., 3:])
     return Motion(tet_map(mesh, positions[worst]), camera, (seen[0], seen[1]), float(amounts[worst]), pixel)

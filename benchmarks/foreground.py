@@ -18,7 +18,7 @@ import torch
 
 import physconvex
 from models import locate_foreground
-from train import LabelledClip, dataset_checksum, read_clips
+from train import LabelledClip, dataset_checksum, overlap_of_frames, read_clips
 
 RESULT = Path(__file__).parent.parent / "docs" / "results" / "data" / "foreground.json"
 POOR = 0.7
@@ -66,7 +66,7 @@ def _measure(clips: list[LabelledClip], data: Path, repeats: int) -> ForegroundR
         frames, truth = clip.record.frames(), clip.record.mask()
         found = locate_foreground(frames)
         missing += found.source == "whole_frame"
-        overlaps.append(_overlap(found.mask, truth))
+        overlaps.append(overlap_of_frames(found.mask, truth))
         spreads.append(_size_spread(found.mask, truth))
         times.append(min(_seconds(frames) for _ in range(repeats)))
     return ForegroundResult(
@@ -85,11 +85,6 @@ def _measure(clips: list[LabelledClip], data: Path, repeats: int) -> ForegroundR
         not_found=int(missing),
         milliseconds_per_clip=1e3 * float(np.median(times)),
     )
-
-
-def _overlap(found: np.ndarray, true: np.ndarray) -> float:
-    union = (found | true).sum(axis=(1, 2))
-    return float(np.mean((found & true).sum(axis=(1, 2))[union > 0] / union[union > 0]))
 
 
 def _size_spread(found: np.ndarray, true: np.ndarray) -> float:

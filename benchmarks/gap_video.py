@@ -25,7 +25,6 @@ from scipy.interpolate import CubicSpline
 from data_gen import (
     FLAT,
     BenchmarkOptions,
-    DrawnSurface,
     ObjectMesh,
     StillViews,
     drop_object,
@@ -101,12 +100,11 @@ def filmed(folder: Path, objects: Path, film: Film) -> Path:
 
 def filmed_by(camera: Camera, body: ObjectMesh, moved: np.ndarray, share: float) -> np.ndarray:
     """The linear-light pictures on white, each averaged over that share of a frame around its time."""
-    surface = DrawnSurface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
     motion, parts = CubicSpline(np.arange(len(moved)), moved), np.linspace(-0.5, 0.5, 17 if share else 1) * share
     frames = []
     for t in range(len(moved)):
         times = (t + parts).clip(0, len(moved) - 1)
-        rgba = np.stack(rendered_frames(surface, camera, FLAT, motion(times))) / 255.0
+        rgba = np.stack(rendered_frames(body.drawn(), camera, FLAT, motion(times))) / 255.0
         light = (rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:]) ** 2.2
         frames.append((255 * light.mean(0) ** (1 / 2.2)).round())
     return np.stack(frames)

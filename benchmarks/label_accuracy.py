@@ -39,7 +39,7 @@ from data_gen import (
     roll_out,
 )
 from physconvex import ConvergenceError, InputError
-from physconvex.dynamics import Plane, Timing, World, simulate
+from physconvex.dynamics import Plane, World, simulate
 from physconvex.fem import ElasticBody, Scene
 from physconvex.mesh import TetMesh, linear_part, refine_uniformly, tetrahedralize_implicit
 
@@ -129,16 +129,7 @@ def run(
         contact_stiffness=50 * case.youngs_modulus / mesh.size,
         contact_smoothing=5e-4 * mesh.size,
     )
-    return simulate(
-        scene,
-        Timing(
-            steps_per_frame=solver.steps_per_frame,
-            flight_steps_per_frame=min(solver.flight_steps_per_frame, solver.steps_per_frame),
-            contact_solver=solver.contact_solver,
-            friction_passes=solver.friction_passes,
-            tolerance=solver.tolerance,
-        ),
-    ).positions
+    return simulate(scene, solver.timing()).positions
 
 
 def roll(case: Case, *, log10_shift: float = 0.0, nu_shift: float = 0.0) -> np.ndarray:

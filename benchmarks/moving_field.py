@@ -31,7 +31,6 @@ from scipy.ndimage import binary_erosion
 
 from data_gen import (
     FLAT,
-    DrawnSurface,
     ObjectMesh,
     StillViews,
     load_user_mesh,
@@ -268,8 +267,7 @@ def compare(
     difference of the field."""
     surface = Embedding.of_points(mesh, body.vertices).apply(positions)
     (camera,) = still_cameras(surface.reshape(-1, 3), StillViews(1, (12.0,), phase=0.13), SIZE)
-    colours = DrawnSurface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
-    observed = rendered_frames(colours, camera, FLAT, surface)
+    observed = rendered_frames(body.drawn(), camera, FLAT, surface)
     bound, marked = bind_to_tets(field, mesh), bind_to_tets(markers(gaussians), mesh)
     rows, pictures, view = [], [], View.of(camera)
     for places, rgba, amount in zip(positions, observed, deformations(surface), strict=True):

@@ -114,7 +114,7 @@ def drop_object(
     if not kept.exists():
         take = _Take(placed(load_user_mesh(mesh), options.object_size, rng), truth, BenchmarkMotion(), options)
         grid = take.mesh()
-        moved = take.moved(take.surface(grid), take.scene(grid))
+        moved = take.moved(grid, take.scene(grid))
         camera = take.cameras(moved)[0]
         take.write_capture(folder, {camera: take.filmed(moved, camera)})
         np.savez_compressed(kept, moved=moved)
@@ -147,14 +147,13 @@ def _make(out: Path, name: str, path: Path, options: BenchmarkOptions, rng: np.r
     take = _Take(body, truth, motion, options)
     mesh = take.mesh()
     scene = take.scene(mesh)
-    surface = take.surface(mesh)
-    moved = take.moved(surface, scene)
+    moved = take.moved(mesh, scene)
     cameras = take.cameras(moved)
     front = _write_pictures(out, name, take, moved, cameras)
     chosen = np.sort(rng.choice(len(body.vertices), min(POINTS, len(body.vertices)), replace=False))
     arrays = {"rest": body.vertices[chosen], "positions": moved[:, chosen]}
     for change in changes_of(scene):
-        arrays[f"positions_{change}"] = take.moved(surface, changed(scene, change))[:, chosen]
+        arrays[f"positions_{change}"] = take.moved(mesh, changed(scene, change))[:, chosen]
     folder = out / "truth" / name
     np.savez_compressed(folder / "points.npz", **arrays)  # type: ignore[arg-type]
     stated: dict[str, JsonValue] = {**truth, "density": DENSITY, "nodes": len(mesh.vertices), "licence": body.licence}
@@ -185,15 +184,11 @@ class _Take:
         """The scene on a mesh."""
         return scene_of(mesh, self.truth, self.body, self.motion)
 
-    def surface(self, mesh: TetMesh) -> Embedding:
-        """Embedding of the visible vertices in a mesh."""
-        return Embedding.of_points(mesh, self.body.vertices)
-
-    def moved(self, surface: Embedding, scene: Scene, *, share: float = 1.0) -> Float[np.ndarray, "T V 3"]:
-        """The surface's vertices in all frames [m], with (a share of) the time steps."""
+    def moved(self, mesh: TetMesh, scene: Scene, *, share: float = 1.0) -> Float[np.ndarray, "T V 3"]:
+        """The visible vertices in all frames [m], with (a share of) the time steps."""
         sizes = self.options
         nodes = rolled(scene, sizes.frames, sizes.fps, max(1, round(share * sizes.steps_per_frame)))
-        return surface.apply(nodes)
+        return Embedding.of_points(mesh, self.body.vertices).apply(nodes)
 
     def cameras(self, moved: Float[np.ndarray, "T V 3"]) -> list[Camera]:
         """About all of the motion; the first is the front one."""
@@ -217,7 +212,7 @@ class _Take:
         """
         out: dict[str, JsonValue] = {}
         for label, grid, share in (("half_steps", mesh, 0.5), ("half_nodes", self.mesh(0.5), 1.0)):
-            other = self.moved(self.surface(grid), self.scene(grid), share=share)
+            other = self.moved(grid, self.scene(grid), share=share)
             out[f"rms_to_{label}_m"] = np.sqrt(np.square(other - moved).sum(-1).mean(-1)).tolist()
             drawn, _ = self.filmed(other, camera)
             pairs = [[torch.as_tensor(x / np.float32(255)) for x in both] for both in zip(drawn, seen, strict=True)]

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from physconvex.dynamics import ContactSolver
+from physconvex.dynamics import ContactSolver, Timing
 from physconvex.io import FrozenConfig, read_tree, set_value, validated
 from physconvex.materials import get_law
 
@@ -126,6 +126,18 @@ class SolverConfig(FrozenConfig):
     friction_passes: int = Field(default=12, ge=1)
     tolerance: float = Field(default=1e-5, gt=0)
     max_attempts: int = Field(default=6, ge=1)
+
+    def timing(self, frames: int = 24, fps: float = 24.0) -> Timing:
+        """Steps of a roll-out of so many frames, at that rate [1/s]."""
+        return Timing(
+            frames=frames,
+            fps=fps,
+            steps_per_frame=self.steps_per_frame,
+            flight_steps_per_frame=min(self.flight_steps_per_frame, self.steps_per_frame),
+            contact_solver=self.contact_solver,
+            friction_passes=self.friction_passes,
+            tolerance=self.tolerance,
+        )
 
 
 class VideoConfig(FrozenConfig):

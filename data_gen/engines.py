@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from functools import partial
-from typing import Annotated, Literal, Protocol, TypeVar, runtime_checkable
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field
 
@@ -84,27 +83,15 @@ def _dask(function: Callable[[Task], Result], tasks: Sequence[Task], workers: in
             cluster.close()
 
 
-@runtime_checkable
-class _Named(Protocol):
-    @property
-    def name(self) -> str: ...
-
-
-Job = TypeVar("Job", bound=_Named)
-
-
-def run_jobs(
-    function: Callable[[Job], None], jobs: Iterable[Job], *, workers: int, report: Callable[[str], None]
-) -> None:
-    """Call a function on each job, which must be picklable.
+def run_jobs(calls: Mapping[str, Callable[[], object]], *, workers: int, report: Callable[[str], None]) -> None:
+    """Make calls, which must be picklable.
 
     Args:
-        function: function of one job.
-        jobs: jobs with names.
+        calls: by name.
         workers: number of processes.
-        report: receives each name, in order, when the function waits for its job.
+        report: receives each name, in order, when the function waits for its call.
     """
     with Workers(workers) as pool:
-        for job, wait in [(job, pool.start(partial(function, job))) for job in jobs]:
-            report(job.name)
+        for name, wait in [(name, pool.start(call)) for name, call in calls.items()]:
+            report(name)
             wait()

@@ -7,11 +7,11 @@ passes are super-sampled and averaged; the object's coverage of each pixel is th
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from data_gen.surface import Backdrop, DrawnSurface, Lighting, corner_normals
 from data_gen.vtk_passes import (
@@ -24,6 +24,9 @@ from data_gen.vtk_passes import (
 )
 from physconvex import InputError
 from physconvex.io import Camera
+
+if TYPE_CHECKING:
+    from vtkmodules.vtkRenderingCore import vtkRenderer
 
 
 class Renderer:
@@ -50,15 +53,14 @@ class Renderer:
         self.surface = surface
         self.normals = corner_normals(surface.vertices, surface.faces)
         self.corners = surface.faces.ravel()
-        count = len(self.corners)
-        cells = np.hstack([np.full((count // 3, 1), 3), np.arange(count).reshape(-1, 3)]).ravel()
-        self.mesh: Any = pv.PolyData(surface.vertices[self.corners].astype(np.float32), cells)
-        self.mesh.point_data["Normals"] = np.zeros((count, 3), np.float32)
+        points = surface.vertices.astype(np.float32)
+        apart = np.arange(len(self.corners)).reshape(-1, 3)
+        self.mesh: Any = pv.PolyData.from_regular_faces(points[self.corners], apart)
+        self.mesh.point_data["Normals"] = np.zeros((len(self.corners), 3), np.float32)
         self.mesh.GetPointData().SetActiveNormals("Normals")
-        self.flat: Any = pv.PolyData(surface.vertices.astype(np.float32), triangles(surface.faces))
-        self.passes["object"] = object_pass(self.mesh, surface)
-        self.passes["shadow"] = shadow_pass(self.flat)
-        self.attach("object", "shadow")
+        self.flat: Any = pv.PolyData.from_regular_faces(points, surface.faces)
+        self.add_pass("object", object_pass(self.mesh, surface))
+        self.add_pass("shadow", shadow_pass(self.flat))
 
     def set_view(self, camera: Camera, lighting: Lighting, backdrop: Backdrop) -> None:
         """Choose camera, light and surroundings; renders the static plate once."""
@@ -70,8 +72,7 @@ class Renderer:
             raise InputError("camera: k1 and k2 must be zero, since the renderer makes undistorted images")
         self.camera, self.lighting = camera, lighting
         self.release_passes("plate")
-        self.passes["plate"] = plate_pass(backdrop)
-        self.attach("plate")
+        self.add_pass("plate", plate_pass(backdrop))
         for renderer in self.passes.values():
             place_camera(renderer, camera)
         light_object(self.passes["object"], lighting, camera)
@@ -86,7 +87,8 @@ class Renderer:
         towards = np.array(self.lighting.direction)
         self.flat.points[:] = positions - np.maximum(positions[:, 2:], 0) / towards[2] * towards
         self.flat.Modified()
-        shadow = self.soften(self.draw("shadow")[..., 3])
+        shadow, sigma = self.draw("shadow")[..., 3], self.lighting.shadow_softness * self.height
+        shadow = cv2.GaussianBlur(shadow, (0, 0), sigma) if sigma > 0.2 else shadow
         image = self.plate * (1 - self.shadow_strength * shadow[..., None])
         image = image * (1 - rgba[..., 3:]) + rgba[..., :3]
         return image, rgba[..., 3]
@@ -101,10 +103,6 @@ class Renderer:
         self.mesh.Modified()
         return self.draw("object")
 
-    def soften(self, shadow: np.ndarray) -> np.ndarray:
-        sigma = self.lighting.shadow_softness * self.height
-        return cv2.GaussianBlur(shadow, (0, 0), sigma) if sigma > 0.2 else shadow
-
     def draw(self, name: str) -> Float[np.ndarray, "h w 4"]:
         """Render one pass alone; pre-multiplied RGBA averaged over the super-samples."""
         from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
@@ -115,15 +113,13 @@ class Renderer:
         wide, tall = self.width * self.factor, self.height * self.factor
         pixels: Any = vtkUnsignedCharArray()
         self.window.GetRGBACharPixelData(0, 0, wide - 1, tall - 1, 0, pixels)
-        return self.average(np.asarray(memoryview(pixels)).reshape(tall, wide, 4)[::-1])
-
-    def average(self, image: np.ndarray) -> np.ndarray:
+        image = np.asarray(memoryview(pixels)).reshape(tall, wide, 4)[::-1]
         blocks = image.reshape(self.height, self.factor, self.width, self.factor, 4)
         return blocks.mean(axis=(1, 3), dtype=np.float32) / np.float32(255)
 
-    def attach(self, *names: str) -> None:
-        for name in names:
-            self.window.AddRenderer(self.passes[name])
+    def add_pass(self, name: str, renderer: vtkRenderer) -> None:
+        self.passes[name] = renderer
+        self.window.AddRenderer(renderer)
 
     def release_passes(self, *names: str) -> None:
         """Drop passes and their graphics memory."""
@@ -137,7 +133,3 @@ class Renderer:
         """Give the graphics context back."""
         self.release_passes(*list(self.passes))
         self.window.Finalize()
-
-
-def triangles(faces: Int[np.ndarray, "F 3"]) -> np.ndarray:
-    return np.hstack([np.full((len(faces), 1), 3), faces]).ravel()

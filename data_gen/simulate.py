@@ -12,7 +12,7 @@ from data_gen.config import GeneratorConfig, SolverConfig
 from data_gen.landing import refine_at_landing
 from data_gen.scene import Drop
 from physconvex import ConvergenceError, InputError
-from physconvex.dynamics import Plane, SolveStatistics, Timing, World, simulate
+from physconvex.dynamics import Plane, SolveStatistics, World, simulate
 from physconvex.fem import ElasticBody, Scene, SurfacePoints, Trajectory, skinning_eigenmodes
 from physconvex.mesh import Embedding, TetMesh, sample_interior, tetrahedralize, tetrahedralize_implicit
 
@@ -105,16 +105,7 @@ def simulate_drop(
         initial_velocity=drop.initial_velocity,
         initial_angular_velocity=drop.initial_angular_velocity,
     )
-    timing = Timing(
-        frames=video.frames,
-        fps=video.fps,
-        steps_per_frame=solver.steps_per_frame,
-        flight_steps_per_frame=min(solver.flight_steps_per_frame, solver.steps_per_frame),
-        contact_solver=solver.contact_solver,
-        friction_passes=solver.friction_passes,
-        tolerance=solver.tolerance,
-    )
-    trajectory = simulate(scene, timing)
+    trajectory = simulate(scene, solver.timing(video.frames, video.fps))
     surface = Embedding.of_points(mesh, shown).apply(trajectory.positions)
     return SimulatedDrop(mesh, trajectory, surface, _samples(body, trajectory, config, rng))
 

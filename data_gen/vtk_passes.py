@@ -155,14 +155,9 @@ def plate_pass(backdrop: Backdrop) -> vtkRenderer:
     """Floor and background, as they look without the object."""
     import pyvista as pv
 
-    edge = FLOOR_EXTENT
-    floor = pv.PolyData(
-        np.array([[-edge, -edge, 0], [edge, -edge, 0], [edge, edge, 0], [-edge, edge, 0]], np.float32),
-        np.array([4, 0, 1, 2, 3]),
-    )
-    tiles = edge / backdrop.floor_tile
-    corners: np.ndarray = np.array([[-tiles, -tiles], [tiles, -tiles], [tiles, tiles], [-tiles, tiles]], np.float32)
-    floor.active_texture_coordinates = corners
+    square: np.ndarray = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
+    floor = pv.PolyData.from_regular_faces(FLOOR_EXTENT * square, np.array([[0, 1, 2, 3]]))
+    floor.active_texture_coordinates = (FLOOR_EXTENT / backdrop.floor_tile * square[:, :2]).astype(np.float32)
     floor_actor = unlit(new_actor(floor))
     floor_actor.SetTexture(image_texture(backdrop.floor, mirrored=True))
     dome_actor = unlit(new_actor(dome()))
@@ -183,8 +178,7 @@ def dome(steps: int = 64) -> PolyData:
     first = np.arange(steps)
     n = steps + 1
     quads = [np.column_stack([first, first + 1, first + 1 + n, first + n]) + k * n for k in range(len(rows) - 1)]
-    cells = np.hstack([np.full((len(quads) * steps, 1), 4), np.vstack(quads)]).ravel()
-    mesh = pv.PolyData(points.astype(np.float32), cells)
+    mesh = pv.PolyData.from_regular_faces(points.astype(np.float32), np.vstack(quads))
     mesh.active_texture_coordinates = coordinates
     return mesh
 

@@ -5,14 +5,13 @@ from .blind.scoring import Bank as Bank, BankScore as BankScore, score_banks as 
 from .cache import prepare_clips as prepare_clips
 from .config import TrainConfig as TrainConfig, load_train_config as load_train_config
 from .data import TrainingClips as TrainingClips
-from .falls.batches import FallBatch as FallBatch
+from .falls.batches import FallBatch as FallBatch, RealClips as RealClips
 from .falls.pretrain import pretrain as pretrain
-from .falls.real import RealClips as RealClips
 from .falls.run import train_on_falls as train_on_falls
 from .falls.world import Falls as Falls, simulate_falls as simulate_falls
+from .finder_loop import overlap_of_frames as overlap_of_frames
 from .loop import train_predictor as train_predictor
 from .losses import smoothed_target as smoothed_target
-from .metrics import constant_mae as constant_mae
 from .motion_states import flipped_states as flipped_states
 from .options import PaperOptions as PaperOptions, Pretraining as Pretraining
 from .paper.evaluation import evaluate_paper as evaluate_paper
@@ -23,3 +22,4 @@ from .records import (
     dataset_checksum as dataset_checksum,
     read_clips as read_clips,
 )
+from .validation import constant_mae as constant_mae

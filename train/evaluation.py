@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -9,13 +12,11 @@ import typer
 
 from physconvex.io import command
 from train.blind.command import app as gap_app
-from train.options import EvaluationOptions
-from train.paper.command import paper_command
+from train.options import EvaluationOptions, PaperOptions
 from train.progress import ProgressBar
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, help=__doc__)
 app.add_typer(gap_app, name="gap")
-app.command("paper")(paper_command)
 
 Data = Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; repeatable.")]
 Out = Annotated[Path, typer.Option(help="Folder of the results (JSON and figure).")]
@@ -62,3 +63,43 @@ def skinning_command(
         result = evaluate_skinning(data, options, out=out, report=bar.report)
     write_skinning_report(out, result)
     typer.echo(result.table())
+
+
+@app.command("paper")
+@command
+def paper_command(
+    *,
+    benchmark: Annotated[Path, typer.Argument(help="Folder of `physconvex generate benchmark`.")],
+    out: Annotated[Path, typer.Option(help="Folder of the results; finished parts are reused.")] = Path("paper"),
+    name: Annotated[list[str] | None, typer.Option(help="Evaluate only this object; repeatable. Default: all.")] = None,
+    comparisons: Annotated[
+        bool, typer.Option(help="Also run the method of the paper and the ablations over M and K.")
+    ] = True,
+    options: PaperOptions,
+    no_progress: Annotated[bool, typer.Option("--no-progress", help="Hide progress messages.")] = False,
+) -> None:
+    """Print the tables of the paper: identification, images, future, generalisation and ablations.
+
+    Baselines: a constant guess, the network alone, and the method of the paper. Writes tables.md, paper.json and
+    objects/NAME.json. It can be stopped at any time; the same command resumes after the last finished part. It
+    evaluates the objects that `generate benchmark` has finished.
+    """
+
+    from train.paper.evaluation import evaluate_paper
+    from train.paper.tables import markdown, summary
+
+    def say(name: str, part: str) -> None:
+        if not no_progress:
+            print(f"physconvex evaluate paper: {name}: {part} …", file=sys.stderr, flush=True)
+
+    rows = evaluate_paper(benchmark, out, options, names=name, comparisons=comparisons, on_part=say)
+    made = json.loads((benchmark / "benchmark.json").read_text(encoding="utf-8"))["options"]
+    note = (
+        f"{len(rows)} of {made['count']} objects, {made['size']}² pixels, {made['views']} views, "
+        f"{made['observed_frames']} of {made['frames']} frames observed from the front; truth of at most "
+        f"{made['nodes']} nodes and {made['steps_per_frame']} steps per frame."
+    )
+    content = {"benchmark": made, "summary": asdict(summary(rows)), "objects": [row.to_json() for row in rows]}
+    (out / "paper.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    (out / "tables.md").write_text(markdown(rows, note), encoding="utf-8")
+    typer.echo((out / "tables.md").read_text(encoding="utf-8"))

@@ -9,9 +9,8 @@ from pathlib import Path
 
 from models import ClipConfig, PhysicsNetwork, PhysicsPredictor, PredictorConfig, TrainingRange, find_checkpoint
 from train.data import TrainingClips
-from train.metrics import DensityMetrics
 from train.records import data_listing
-from train.validation import Validation
+from train.validation import DensityMetrics, Validation
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,7 @@ from train.export import Origin, export_best
 from train.losses import compute_losses, noisy_states
 from train.optimisation import optimizer_of, precision_for
 from train.progress import Report
-from train.run_log import RunLog, run_fingerprint, write_config
-from train.run_state import TrainingProgress, TrainingState
+from train.run_files import RunLog, TrainingProgress, TrainingState, run_fingerprint, write_config
 from train.validation import Validation, validate
 
 _LOG = logging.getLogger("physconvex")

@@ -13,10 +13,10 @@ from jaxtyping import Float64
 from models import ClipEstimate, PreparedClip, freeze_time, shuffle_time
 from physconvex import InputError
 from train.held_out import Evaluated, evaluated_clips, held_out_estimates
-from train.metrics import DensityMetrics, density_metrics
 from train.options import EvaluationOptions
 from train.progress import Report
 from train.records import LabelledClip, read_clips
+from train.validation import DensityMetrics, density_metrics
 
 Truth = Float64[np.ndarray, "2 N"]
 """log10 E and ν."""

@@ -10,10 +10,9 @@ from models import Calibration, PhysicsPredictor, find_checkpoint
 from physconvex import InputError
 from train.data import TrainingClips
 from train.held_out import held_out
-from train.metrics import DensityMetrics
 from train.progress import Report
 from train.records import dataset_checksum
-from train.validation import calibration_of, validate
+from train.validation import DensityMetrics, calibration_of, validate
 
 _HEADING = "\n## Calibration\n"
 

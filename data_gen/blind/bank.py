@@ -8,6 +8,7 @@ import secrets
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -87,9 +88,9 @@ def generate_bank(out: Path, seal: Path, options: BankOptions | None = None, *, 
     _begin(out, seal, parts, json.dumps({"seed": seed, "engine": engine, "plan": [asdict(p) for p in plan]}))
     jobs = [_Job(number, planned, seed, engine, out, parts) for number, planned in enumerate(plan)]
     todo = [job for job in jobs if not job.label.exists()]
-    run_jobs(_make, [job for job in todo if not job.planned.repeats], workers=workers, report=report)
-    # a capture that repeats another one needs that one first
-    run_jobs(_make, [job for job in todo if job.planned.repeats], workers=1, report=report)
+    for repeats in (False, True):  # a capture that repeats another one needs that one first
+        calls = {job.name: partial(_make, job) for job in todo if job.planned.repeats == repeats}
+        run_jobs(calls, workers=1 if repeats else workers, report=report)
     labels = [json.loads(job.label.read_text(encoding="utf-8")) for job in jobs]
     text, salt = json.dumps(labels, indent=1), secrets.token_hex(16)
     without = {job.name: list(job.planned.without) for job in jobs}

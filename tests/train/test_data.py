@@ -12,8 +12,8 @@ from physconvex.io import look_at
 from train import TrainConfig, TrainingClips, load_train_config, prepare_clips, read_clips, smoothed_target
 from train.cache import PreparedClips
 from train.data import Item, Plan, batches, collate
-from train.metrics import density_metrics
 from train.records import camera_aligned_axes
+from train.validation import density_metrics
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 0.7, 3.0, -1.6])

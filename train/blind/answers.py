@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ def diagnose_bank(
         for folder in folders
     ]
     try:
-        run_jobs(_diagnose, [job for job in jobs if not job.done], workers=workers, report=report)
+        run_jobs({job.name: partial(_diagnose, job) for job in jobs if not job.done}, workers=workers, report=report)
     finally:
         path = _write(out, [_answer(job) for job in jobs if job.answered], without)
     return path

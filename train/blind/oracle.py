@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from data_gen import run_jobs
@@ -32,32 +32,19 @@ def run_oracle(
     Raises:
         InputError: as `score_banks`.
     """
-    jobs = [
-        _Job(bank.captures / name, out / f"{name}.json", row.truth, options)
-        for row in score_banks(bank).rows
-        for name in [row.capture.removeprefix(f"{bank.name}/")]
-        if row.single and row.visibility >= VISIBLE
-    ]
     out.mkdir(parents=True, exist_ok=True)
-    run_jobs(_shrink, [job for job in jobs if not job.target.exists()], workers=workers, report=report)
+    calls = {}
+    for row in score_banks(bank).rows:
+        name = row.capture.removeprefix(f"{bank.name}/")
+        if row.single and row.visibility >= VISIBLE and not (out / f"{name}.json").exists():
+            calls[name] = partial(_shrink, bank.captures / name, out / f"{name}.json", row.truth, options)
+    run_jobs(calls, workers=workers, report=report)
 
 
-@dataclass(frozen=True)
-class _Job:
-    folder: Path
-    target: Path
-    effects: tuple[str, ...]
-    options: GapOptions | None
-
-    @property
-    def name(self) -> str:
-        return self.folder.name
-
-
-def _shrink(job: _Job) -> None:
+def _shrink(capture: Path, target: Path, effects: tuple[str, ...], options: GapOptions | None) -> None:
     value: float | None
     try:
-        value = diagnose(job.folder, effects=job.effects, options=job.options).how_far[0].shrinkage
+        value = diagnose(capture, effects=effects, options=options).how_far[0].shrinkage
     except PhysconvexError:
         value = None
-    job.target.write_text(json.dumps({"effects": job.effects, "shrinkage": value}), encoding="utf-8")
+    target.write_text(json.dumps({"effects": effects, "shrinkage": value}), encoding="utf-8")

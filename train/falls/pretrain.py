@@ -22,15 +22,13 @@ from data_gen import CameraConfig
 from models import STATE_SCALE, BinnedDensity, NetworkOutput, PhysicsNetwork, answer_both_ways
 from train.config import TrainConfig
 from train.falls.augment import augment_at_once
-from train.falls.batches import FallBatch, draw_batch, joined_batches, real_batch
-from train.falls.real import RealClips
+from train.falls.batches import FallBatch, RealClips, draw_batch, joined_batches, real_batch
 from train.falls.world import Falls
 from train.losses import density_losses, noisy_states, state_loss
 from train.optimisation import optimizer_of
 from train.options import Pretraining
 from train.progress import Report
-from train.run_log import RunLog
-from train.run_state import TrainingProgress, TrainingState
+from train.run_files import RunLog, TrainingProgress, TrainingState
 
 _LOG = logging.getLogger("physconvex")
 

@@ -16,14 +16,13 @@ from physconvex.numerics import device_named
 from train.config import TrainConfig
 from train.data import split_clips
 from train.export import Origin, export_best
+from train.falls.batches import RealClips
 from train.falls.pretrain import STATE, pretrain
-from train.falls.real import RealClips
 from train.falls.skinning import HeadTraining, fit_skinning_head
 from train.falls.world import simulate_falls
 from train.options import Pretraining
 from train.progress import Report
-from train.run_log import run_fingerprint, write_config
-from train.run_state import refuse_other_run
+from train.run_files import refuse_other_run, run_fingerprint, write_config
 from train.validation import validate
 
 _HELD_OUT = 80  # falls for evaluation only

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypedDict, cast
+from typing import Any, TypedDict, cast
 
 from pydantic import JsonValue
 
@@ -87,11 +87,9 @@ class ObjectRow:
     @classmethod
     def of_json(cls, content: Mapping[str, JsonValue]) -> ObjectRow:
         """From what is stored."""
-        own = [content.get(name, {}) for name in _OWN]
+        own: dict[str, Any] = {name: content[name] for name in _OWN if name in content}
         parts = {name: part for name, part in content.items() if name not in _OWN}
-        return cls(
-            str(own[0]), cast("dict[str, float]", own[1]), cast(PaperPart, own[2]), cast("dict[str, PaperPart]", parts)
-        )
+        return cls(**own, parts=cast("dict[str, PaperPart]", parts))
 
     @classmethod
     def read(cls, file: Path) -> ObjectRow:
@@ -100,7 +98,7 @@ class ObjectRow:
 
     def to_json(self) -> dict[str, JsonValue]:
         """What is stored."""
-        own = {"object": self.object, "truth": self.truth, "truth_itself": self.truth_itself}
+        own = {name: getattr(self, name) for name in _OWN}
         return cast("dict[str, JsonValue]", own | self.parts)
 
     def write(self, file: Path) -> None:

@@ -26,11 +26,8 @@ PUBLISHED = (
 
 
 def _label(part: str) -> str:
-    if part == _FOLLOWED:
-        return "refined, with its rigid drift"
-    if part == _ITSELF:
-        return "truth of half the nodes"
-    return _WAYS.get(part, part.replace("reduced_M", "reduced model alone, M = "))
+    others = {_FOLLOWED: "refined, with its rigid drift", _ITSELF: "truth of half the nodes"}
+    return (_WAYS | others).get(part, part.replace("reduced_M", "reduced model alone, M = "))
 
 
 @dataclass(frozen=True)
@@ -177,6 +174,10 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     return [first, "|" + "---|" * len(heads), *others]
 
 
+def _section(title: str, *lines: str) -> list[str]:
+    return ["", f"## {title}", "", *lines]
+
+
 def _points_table(points: Mapping[str, PointMeans]) -> list[str]:
     if not points:
         return []
@@ -187,19 +188,13 @@ def _points_table(points: Mapping[str, PointMeans]) -> list[str]:
         + [f"{p.front_psnr[name]:.2f}" if name in p.front_psnr else "–" for name in motions]
         for count, p in points.items()
     ]
-    lines = ["", "## Points per convex K", ""]
-    lines += [
-        "PSNR [dB] of the first images, and of the observed frames' front view in",
-        "the motion of each model.",
-        "",
-    ]
-    return lines + _table(["K", "convexes", "first images", *heads], rows)
+    what = ("PSNR [dB] of the first images, and of the observed frames' front view in", "the motion of each model.", "")
+    return _section("Points per convex K", *what, *_table(["K", "convexes", "first images", *heads], rows))
 
 
 def markdown(rows: Sequence[ObjectRow], note: str) -> str:
     """The tables, as a page."""
     told, ways = summary(rows), _ways(rows)
-    lines = ["# Tables", "", note, "", "Errors are fit less truth; E in decades (log10).", "", "## Identification", ""]
     cells = []
     for row in rows:
         truth = list(row.truth.values())
@@ -208,22 +203,18 @@ def markdown(rows: Sequence[ObjectRow], note: str) -> str:
     pairs = ["–" if m is None else f"{m.log10_error:.3f} / {m.poisson_error:.3f}" for m in means]
     seconds = ["–" if m is None else f"{m.process_seconds:.0f} s" for m in means]
     cells += [["**mean of absolutes**", "", *pairs], ["processor time", "", *seconds]]
-    lines += _table(["object", "log10 E, ν", *map(_label, ways)], cells)
-    share = told.coverage_90
-    lines += [
-        "",
-        f"90 % intervals that hold the truth: {'–' if share is None else f'{share:.2f}'} of {told.intervals}.",
-        "",
-        PUBLISHED,
-    ]
+    share = "–" if told.coverage_90 is None else f"{told.coverage_90:.2f}"
+    lines = ["# Tables", "", note, "", "Errors are fit less truth; E in decades (log10)."]
+    lines += _section("Identification", *_table(["object", "log10 E, ν", *map(_label, ways)], cells), "")
+    lines += [f"90 % intervals that hold the truth: {share} of {told.intervals}.", "", PUBLISHED]
     shown = [
         [_label(way), stretch, view, *(format(s[n], form) if n in s else "–" for n, form in _SCORES.items())]
         for way, parts in told.pictures.items()
         for stretch, views in parts.items()
         for view, s in views.items()
     ]
-    lines += ["", "## Pictures", ""]
-    lines += _table(["", "frames", "views", "PSNR", "SSIM", "PSNR on the object", "FovVideoVDP"], shown)
+    heads = ["", "frames", "views", "PSNR", "SSIM", "PSNR on the object", "FovVideoVDP"]
+    lines += _section("Pictures", *_table(heads, shown))
     if told.field is not None:
         lines += [
             "",
@@ -231,11 +222,10 @@ def markdown(rows: Sequence[ObjectRow], note: str) -> str:
             f"cameras ({told.field.psnr:.1f} dB) in {told.field.process_seconds:.0f} s of a processor.",
         ]
     changes = [[n, f"{1e3 * c['rms_m']:.1f}", f"{1e3 * c['change_rms_m']:.1f}"] for n, c in told.changes.items()]
-    lines += ["", "## Generalisation", ""]
-    lines += _table(["change", "distance from the truth [mm]", "how far the change goes [mm]"], changes)
-    lines += _points_table(told.points)
+    heads = ["change", "distance from the truth [mm]", "how far the change goes [mm]"]
+    lines += _section("Generalisation", *_table(heads, changes)) + _points_table(told.points)
     if told.failures:
-        lines += ["", "## Failures", "", *(f"- {text}" for text in told.failures)]
+        lines += _section("Failures", *(f"- {text}" for text in told.failures))
     return "\n".join(lines) + "\n"
 
 
