@@ -6,18 +6,17 @@ from .predictor import predict as predict
 from .preparation import ready_source as ready_source, to_prediction as to_prediction
 from .reconstruction import Reconstruction as Reconstruction, reconstruct as reconstruct
 from .reconstruction_views import CaptureViews as CaptureViews, capture_views as capture_views
+from .refinement.motion import RefinedMotion as RefinedMotion
 from .refinement.observations import observe_capture as observe_capture
 from .refinement.options import RefineOptions as RefineOptions
 from .refinement.pipeline import refine as refine
 from .refinement.result import (
     FittedParameter as FittedParameter,
-    RefinedMotion as RefinedMotion,
     Refinement as Refinement,
     interval_of as interval_of,
 )
 from .refinement.result_files import write_refinement as write_refinement
-from .refinement.run import RefinementRun as RefinementRun
-from .refinement.stages import Stages as Stages
+from .refinement.stages import RefinementRun as RefinementRun, Stages as Stages
 from .results import ResultsFolder as ResultsFolder
 from .settings import ReconstructOptions as ReconstructOptions, StatedConditions as StatedConditions
 from .sources import ClipSource as ClipSource, find_sources as find_sources

@@ -15,10 +15,9 @@ from pydantic import JsonValue
 from scipy.spatial.transform import Rotation
 
 from inference.reconstruction_views import capture_views
+from inference.refinement.motion import RefinedMotion
 from inference.refinement.options import RefineOptions
-from inference.refinement.result import RefinedMotion
-from inference.refinement.run import RefinementRun
-from inference.refinement.stages import Arrays
+from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import InputError
 from physconvex.convex import BoundField, ConvexField, bind_to_tets, read_ply
 from physconvex.identify import cast_camera_rays

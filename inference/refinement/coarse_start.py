@@ -12,8 +12,7 @@ from jaxtyping import Float
 from inference.refinement.meshes import comparison_mesh
 from inference.refinement.problem import Problem
 from inference.refinement.rigid_drift import with_drift_by, with_drift_limit
-from inference.refinement.run import RefinementRun
-from inference.refinement.stages import Arrays, arrays_of_fit, fit_of
+from inference.refinement.stages import RefinementRun
 from physconvex import ConvergenceError
 from physconvex.identify import (
     Fit,
@@ -54,16 +53,16 @@ def coarse_start(
     model = coarse if len(mesh.vertices) < _FEW * len(few_steps.mesh.vertices) else half
     seen = with_drift_by(run, problem, model, start, "drift_coarse").seen
 
-    def compute() -> Arrays:
+    def compute() -> Fit:
         look_around = len(candidates) < 2
         found = fit_full(model, seen, start, max_runs=_RUNS, options=START_OPTIONS, look_around=look_around).fit
         if model is not half:
             at_start, at_end = misfits_of(problem, half, (start.values, found.values))
             if at_start < at_end:  # the coarse mesh has misled the search
                 found = replace(found, values=start.values)
-        return arrays_of_fit(found)
+        return found
 
-    return problem, fit_of(run.stages.run("coarse", compute), problem.parameters), coarse
+    return problem, run.fit("coarse", problem.parameters, compute), coarse
 
 
 def _limited(run: RefinementRun, problem: Problem, half: FullModel, coarse: FullModel, reduced: Fit) -> Problem:

@@ -16,8 +16,7 @@ from jaxtyping import Float
 from inference.refinement.coarse_start import misfits_of
 from inference.refinement.problem import Problem, in_pixels, material_of, started_from
 from inference.refinement.rigid_drift import drifted, with_drift
-from inference.refinement.run import RefinementRun
-from inference.refinement.stages import Arrays, arrays_of_fit, fit_of
+from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import ConvergenceError, InputError
 from physconvex.identify import (
     FULL_OPTIONS,
@@ -58,11 +57,8 @@ def _fitted(run: RefinementRun, problem: Problem, found: Fit, blur: float, name:
     trial = with_drift(run, _coloured(run, problem, found, blur), found, f"drift_{blur:g}{name}")
     start = started_from(problem.parameters, found)
     model = trial.full(run.memory) if run.options.own_derivatives else trial.reduced()
-
-    def compute() -> Arrays:
-        return arrays_of_fit(fit(model, trial.weighted, start, options=FULL_OPTIONS))
-
-    return trial, fit_of(run.stages.run(f"colours_{blur:g}{name}", compute), problem.parameters)
+    stage = f"colours_{blur:g}{name}"
+    return trial, run.fit(stage, problem.parameters, lambda: fit(model, trial.weighted, start, options=FULL_OPTIONS))
 
 
 def _restarted(run: RefinementRun, problem: Problem, kept: Problem, found: Fit, lost: float) -> tuple[Problem, Fit]:

@@ -6,14 +6,15 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from inference.refinement.options import RefineOptions
-from inference.refinement.result import Refinement
-from inference.refinement.stages import stage_in_words
 from physconvex.io import command
+
+if TYPE_CHECKING:
+    from inference.refinement.result import Refinement
 
 _RESULT = "Results"
 
@@ -46,6 +47,7 @@ def refine_command(
     """
     from inference.refinement.pipeline import refine
     from inference.refinement.result_files import write_refinement
+    from inference.refinement.stages import stage_in_words
 
     options = options.replace(processes=(os.cpu_count() or 1) if processes is None else processes)
 

@@ -10,8 +10,7 @@ from jaxtyping import Float, Int
 
 from inference.refinement.meshes import comparison_mesh, is_of_capture
 from inference.refinement.result import FittedParameter, interval_of
-from inference.refinement.run import RefinementRun
-from inference.refinement.stages import Arrays, arrays_of_fit, fit_of
+from inference.refinement.stages import Arrays, RefinementRun, arrays_of_fit, fit_of
 from physconvex import ConvergenceError
 from physconvex.identify import (
     LEFT_BY_FITTED,
@@ -58,20 +57,13 @@ def fitted_parameters(
     sigmas = marginal_deviations(found, _variances(found, sources, stated))
     sigmas = np.maximum(sigmas, clustered_deviations(found, frames))
     out = []
-    for i, parameter in enumerate(found.parameters):
-        bound = parameter.name in told.at_bounds
-        total = float(np.hypot(sigmas[i], np.nan_to_num(left[i])))
-        value = float(found.values[i])
-        interval = None if bound or not followed else interval_of(value, total, parameter.lower, parameter.upper)
-        prior = None
-        if np.isfinite(parameter.prior_sigma):
-            prior = (parameter.prior_mean, parameter.prior_sigma)
-        out.append(
-            FittedParameter(
-                parameter.name, value, float(sigmas[i]), float(left[i]), interval,
-                parameter.lower, parameter.upper, prior,
-            )
-        )  # fmt: skip
+    for p, value, sigma, beside in zip(
+        found.parameters, *map(np.ndarray.tolist, (found.values, sigmas, left)), strict=True
+    ):
+        bounded = interval_of(value, float(np.hypot(sigma, np.nan_to_num(beside))), p.lower, p.upper)
+        interval = bounded if followed and p.name not in told.at_bounds else None
+        prior = (p.prior_mean, p.prior_sigma) if np.isfinite(p.prior_sigma) else None
+        out.append(FittedParameter(p.name, value, sigma, beside, interval, p.lower, p.upper, prior))
     return tuple(out)
 
 

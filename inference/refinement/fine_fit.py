@@ -17,8 +17,7 @@ from inference.refinement.coarse_start import START_OPTIONS, misfits_of
 from inference.refinement.meshes import fine_mesh
 from inference.refinement.problem import Problem, in_pixels, started_from
 from inference.refinement.rigid_drift import with_drift
-from inference.refinement.run import RefinementRun
-from inference.refinement.stages import Arrays, arrays_of_fit, fit_of
+from inference.refinement.stages import Arrays, RefinementRun
 from physconvex.identify import (
     FULL_OPTIONS,
     LEFT_BY_FITTED,
@@ -70,16 +69,16 @@ def fit_on_more_nodes(run: RefinementRun, problem: Problem, found: Fit, *, last:
         errors = LEFT_BY_FITTED * frame_errors(problem.seen, there, here)
         return {"errors": errors, "astray": np.array(LEFT_BY_FITTED * _apart(here, there))}
 
-    def compute() -> Arrays:
+    def compute() -> Fit:
         settings = replace(FULL_OPTIONS if last else START_OPTIONS, max_iterations=run.options.full_runs)
-        return arrays_of_fit(fit(more, fine.weighted, started_from(problem.parameters, start), options=settings))
+        return fit(more, fine.weighted, started_from(problem.parameters, start), options=settings)
 
     compared = run.stages.run("fine_errors", compare)
     fine = replace(fine, errors=compared["errors"], astray=float(compared["astray"]))
     if not last and np.array_equal(values, found.values):
         return fine, found
     fine = with_drift(run, fine, start, "drift_fine")
-    return fine, fit_of(run.stages.run("fine", compute), problem.parameters)
+    return fine, run.fit("fine", problem.parameters, compute)
 
 
 def _apart(here: Float[np.ndarray, "T P 3"], there: Float[np.ndarray, "T P 3"]) -> float:

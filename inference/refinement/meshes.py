@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from inference.refinement.problem import material_of
-from inference.refinement.run import RefinementRun
-from inference.refinement.stages import Arrays
+from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import ConvergenceError
 from physconvex.identify import Fit, Twin, surface_of_capture
 from physconvex.mesh import (

@@ -2,17 +2,46 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float, Int
 
-from inference.refinement.result import RefinedMotion
-from inference.refinement.run import RefinementRun
-from inference.refinement.stages import Arrays
+from inference.refinement.stages import Arrays, RefinementRun
 from physconvex.dynamics import simulate
 from physconvex.identify import Fit, FullModel, Twin, enriched, extrapolated_nodes
 from physconvex.io import Capture
 from physconvex.mesh import Embedding, TetMesh
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedMotion:
+    """The motion of the fitted model in all frames, future ones included.
+
+    Attributes:
+        times: [s], shape [T].
+        vertices: of the surface [m], shape [T, V, 3].
+        faces: of the surface, shape [F, 3].
+        markers: of the tracked points [m], shape [T, P, 3]; P = 0 without tracks.
+        handles: Z_m(t) of the reduced model, φ = X + Σ W_m Z_m [X; 1], shape [T, M + 1, 3, 4].
+        weight_points, weights: rest positions [m], shape [N, 3], and skinning weights, shape [N, M], of the mesh nodes.
+        model: "full" or "reduced": the model that gives vertices and markers.
+        mesh, nodes: the mesh of that model at rest, and its nodes [m], shape [T, K, 3].
+        reduced_gap: rms distance [m] of the reduced model to it with its first weights, and with those refined by the
+            full model's motion, whose handles these are; empty without the full model.
+    """
+
+    times: Float[np.ndarray, " T"]
+    vertices: Float[np.ndarray, "T V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    markers: Float[np.ndarray, "T P 3"]
+    handles: Float[np.ndarray, "T K 3 4"]
+    weight_points: Float[np.ndarray, "N 3"]
+    weights: Float[np.ndarray, "N M"]
+    model: str
+    mesh: TetMesh
+    nodes: Float[np.ndarray, "T K 3"]
+    reduced_gap: tuple[float, ...] = ()
 
 
 def refined_motion(run: RefinementRun, full: FullModel, found: Fit, *, mesh: TetMesh | None = None) -> RefinedMotion:

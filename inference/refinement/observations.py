@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from inference.refinement.options import RefineOptions
-from inference.refinement.run import RefinementRun
-from inference.refinement.stages import Arrays
+from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import InputError
 from physconvex.identify import (
     FollowOptions,

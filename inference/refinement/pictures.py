@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
 
 from inference.refinement.result import Refinement
 from physconvex.identify import appearance_map, cast_camera_rays, shaded
@@ -22,52 +21,43 @@ _SEEN, _MODEL = (200, 40, 40), (40, 70, 200)
 
 def write_side_by_side(found: Refinement, capture: Capture, path: Path) -> None:
     """Write observed | model | difference of the first camera; without one, markers over the model's surface."""
-    if capture.filmed:
-        frames = _video_frames(found, capture)
-    else:
-        frames = _outline_frames(found, capture) if capture.cameras else _marker_frames(found, capture)
+    of_frames = _video_panels if capture.filmed else _outline_panels if capture.cameras else _marker_panels
+    frames = (_labelled(panels, frame, found) for frame, panels in enumerate(of_frames(found, capture)))
     write_video(path, frames, fps=min(capture.fps, 24.0))
 
 
-def _video_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T H W 3"]:
+def _video_panels(found: Refinement, capture: Capture) -> Iterator[Sequence[np.ndarray]]:
     camera = capture.filmed[0]
     seen = capture.video(camera.name).frames
     first, motion = seen[0].astype(np.float32), found.motion
-    out = []
     rest = cast_camera_rays(camera, motion.vertices[0], motion.faces)
     for frame, image in enumerate(seen):
-        hit = cast_camera_rays(camera, motion.vertices[frame], motion.faces)
-        source, known = appearance_map(camera, motion.vertices[0], motion.faces, hit, rest)
-        warped = cv2.remap(first, source[..., 0], source[..., 1], cv2.INTER_LINEAR)
-        grey = shaded(camera, motion.vertices[frame], motion.faces, hit)[..., None].repeat(3, -1)
-        model = np.where(known[..., None], warped, grey)
-        inside = (hit.faces >= 0).astype(np.float64)
-        model = np.where(inside[..., None] > 0, model, 255.0)
-        if found.appearance is not None:
-            drawn, inside = found.appearance.image(frame, camera)
-            model = drawn.astype(np.float64)
-        difference = np.abs(model - image) * inside[..., None]
-        panels = (image, model.clip(0, 255), 255 - difference.clip(0, 255))
-        out.append(_labelled(panels, frame, found))
-    return np.stack(out)
+        if found.appearance is None:
+            hit = cast_camera_rays(camera, motion.vertices[frame], motion.faces)
+            source, known = appearance_map(camera, motion.vertices[0], motion.faces, hit, rest)
+            warped = cv2.remap(first, source[..., 0], source[..., 1], cv2.INTER_LINEAR)
+            grey = shaded(camera, motion.vertices[frame], motion.faces, hit)[..., None].repeat(3, -1)
+            inside = hit.faces >= 0
+            model = np.where(inside[..., None], np.where(known[..., None], warped, grey), 255.0)
+        else:
+            model, inside = found.appearance.image(frame, camera)
+        difference = np.abs(model - image.astype(np.float64)) * inside[..., None]
+        yield image, model.clip(0, 255), 255 - difference.clip(0, 255)
 
 
-def _outline_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T H W 3"]:
+def _outline_panels(found: Refinement, capture: Capture) -> Iterator[Sequence[np.ndarray]]:
     """Images of a camera without a video: its masks and the model's, grey on white."""
-    camera, motion, out = capture.cameras[0], found.motion, []
+    camera, motion = capture.cameras[0], found.motion
     masks = capture.mask(camera.name)
     assert masks is not None
     for frame, mask in enumerate(masks):
         inside = cast_camera_rays(camera, motion.vertices[frame], motion.faces).faces >= 0
-        shapes = (mask, inside, mask != inside)
-        out.append(_labelled([np.where(shape, _GREY, 255)[..., None].repeat(3, -1) for shape in shapes], frame, found))
-    return np.stack(out)
+        yield [np.where(shape, _GREY, 255)[..., None].repeat(3, -1) for shape in (mask, inside, mask != inside)]
 
 
-def _marker_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T H W 3"]:
+def _marker_panels(found: Refinement, capture: Capture) -> Iterator[Sequence[np.ndarray]]:
     tracks, motion = capture.tracks(), found.motion
     camera = _outside(motion.vertices)
-    out = []
     for frame in range(len(motion.times)):
         hit = cast_camera_rays(camera, motion.vertices[frame], motion.faces)
         grey = shaded(camera, motion.vertices[frame], motion.faces, hit)[..., None].repeat(3, -1)
@@ -80,8 +70,7 @@ def _marker_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T 
             _dots(panels[1], said, _MODEL)
             _dots(panels[2], said, _MODEL)
             _dots(panels[2], seen, _SEEN)
-        out.append(_labelled(panels, frame, found))
-    return np.stack(out)
+        yield panels
 
 
 def _outside(vertices: np.ndarray) -> Camera:

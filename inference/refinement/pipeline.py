@@ -24,8 +24,7 @@ from inference.refinement.problem import Problem, material_of, started_from
 from inference.refinement.reduced_search import ReducedSearch
 from inference.refinement.result import Refinement
 from inference.refinement.rigid_drift import drift_of, drifted, followed_motion, with_drift
-from inference.refinement.run import RefinementRun
-from inference.refinement.stages import Arrays, Stages, arrays_of_correction, fit_of, key_of, runs_of
+from inference.refinement.stages import Arrays, RefinementRun, Stages, arrays_of_correction, fit_of, key_of, runs_of
 from models import find_checkpoint
 from physconvex import ConvergenceError, InputError
 from physconvex.fem import SurfacePoints

@@ -12,8 +12,7 @@ import numpy as np
 
 from inference.refinement.options import RefineOptions
 from inference.refinement.problem import Problem, started_from
-from inference.refinement.run import RefinementRun
-from inference.refinement.stages import Arrays, Scanned, arrays_of_fit, arrays_of_scan, fit_of, scan_of
+from inference.refinement.stages import Arrays, RefinementRun, Scanned, arrays_of_scan, scan_of
 from physconvex import ConvergenceError, InputError
 from physconvex.identify import (
     Fit,
@@ -57,7 +56,7 @@ class ReducedSearch:
             first = replace(problem, twin=self._cheap(problem)) if self.run.options.own_derivatives else problem
             return self.fit("reduced", first, problem.parameters)
         starts = self._scanned(problem)
-        return fit_of(self.run.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
+        return self.run.fit("reduced", problem.parameters, lambda: self._best(problem, starts))
 
     def candidates(self, problem: Problem, found: Fit) -> tuple[np.ndarray, ...]:
         """Starts of a better model: the fit, the best pairs of the scan, and, for a free body, moduli near the fit."""
@@ -109,39 +108,28 @@ class ReducedSearch:
         )
         return arrays_of_scan(found, within=where.predicted)
 
-    def _best(self, problem: Problem, starts: tuple[tuple[Parameter, ...], ...]) -> Arrays:
+    def _best(self, problem: Problem, starts: Scanned) -> Fit:
         """A few cheap iterations from the best starts, then a fit of the model itself from the best one."""
         cheap = replace(problem, twin=self._cheap(problem))
-        grown = self.run.workers.map(
-            partial(_grown, cheap, self._rough_options(held=cheap.twin.clamp is not None)), starts
-        )
+        own_derivatives, options = self.run.options.own_derivatives, FitOptions(max_iterations=6)
+        if own_derivatives and cheap.twin.clamp is None:  # the full model goes on from several starts: few steps do
+            options = FitOptions(max_iterations=4, relative_tolerance=0.03)
+        grown = self.run.workers.map(partial(_grown, cheap, options), starts)
         trials = [trial for trial in grown if trial is not None]
         best = min(trials, key=lambda trial: trial.misfit) if trials else None
-        if best is not None and self.run.options.own_derivatives:
-            # a finer reduced model would cost as much as the full one, which comes next
-            return arrays_of_fit(best)
-        chosen = starts[0] if best is None else started_from(problem.parameters, best)
-        return arrays_of_fit(self._fitted(problem, chosen))
+        if best is not None and own_derivatives:  # a finer reduced model would cost as much as the full one, the next
+            return best
+        return self._fitted(problem, starts[0] if best is None else started_from(problem.parameters, best))
 
     def _fitted(self, problem: Problem, start: tuple[Parameter, ...]) -> Fit:
-        return fit(problem.reduced(), problem.seen, start, options=self._reduced_options())
-
-    def _reduced_options(self) -> FitOptions:
-        """Options of the reduced fit: if the full model follows, the last digits need not converge."""
-        if self.run.options.own_derivatives:
-            return FitOptions(max_iterations=8, relative_tolerance=1e-3, absolute_tolerance=0.1)
-        return FitOptions()
-
-    def _rough_options(self, *, held: bool) -> FitOptions:
-        """Options of the cheap fits: if the full model continues from several starts, a few steps are enough."""
-        if self.run.options.own_derivatives and not held:
-            return FitOptions(max_iterations=4, relative_tolerance=0.03)
-        return FitOptions(max_iterations=6)
+        options = FitOptions()
+        if self.run.options.own_derivatives:  # the full model follows: the last digits need not converge
+            options = FitOptions(max_iterations=8, relative_tolerance=1e-3, absolute_tolerance=0.1)
+        return fit(problem.reduced(), problem.seen, start, options=options)
 
     def fit(self, name: str, problem: Problem, start: tuple[Parameter, ...]) -> Fit:
         """The fit of that stage, from a start."""
-        arrays = self.run.stages.run(name, lambda: arrays_of_fit(self._fitted(problem, start)))
-        return fit_of(arrays, problem.parameters)
+        return self.run.fit(name, problem.parameters, lambda: self._fitted(problem, start))
 
 
 def _grown(cheap: Problem, options: FitOptions, start: tuple[Parameter, ...]) -> Fit | None:

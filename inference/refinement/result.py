@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float
 from pydantic import JsonValue
 
+from inference.refinement.appearance import Appearance
+from inference.refinement.motion import RefinedMotion
+from inference.refinement.rigid_drift import RigidDrift
 from inference.units import format_pascals, format_pascals_range
 from physconvex import InputError
-from physconvex.convex import ConvexField
 from physconvex.identify import FullRun, Identifiability, Iteration
-from physconvex.io import Camera, Picture, html_summary, load_capture
-from physconvex.mesh import TetMesh
+from physconvex.io import Picture, html_summary, load_capture
 
 REFINEMENT_SCHEMA = "physconvex/refinement/1"
-_DRIFT_TOLD = 0.01  # of the size: least drift that is reported to the user
 _NINETY = 1.6448536269514722  # quantile of a normal distribution, both sides
 UNITS = {
     "log10_youngs_modulus": "log10(Pa)",
@@ -105,86 +104,6 @@ def _plain(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-@runtime_checkable
-class MovingField(Protocol):
-    """A convex field bound to the motion, see `inference.refinement.appearance`."""
-
-    @property
-    def field(self) -> ConvexField:
-        """At rest, world frame."""
-
-    def at(self, frame: int) -> ConvexField:
-        """The field in a frame."""
-
-    def image(self, frame: int, camera: Camera) -> tuple[UInt8[np.ndarray, "H W 3"], np.ndarray]:
-        """A camera's image of it in a frame, on white, and its alpha [H, W]."""
-
-    def to_json(self) -> dict[str, JsonValue]:
-        """Number of convexes, source, PSNR of the first images [dB]."""
-
-
-@dataclass(frozen=True, eq=False)
-class RefinedMotion:
-    """The motion of the fitted model in all frames, future ones included.
-
-    Attributes:
-        times: [s], shape [T].
-        vertices: of the surface [m], shape [T, V, 3].
-        faces: of the surface, shape [F, 3].
-        markers: of the tracked points [m], shape [T, P, 3]; P = 0 without tracks.
-        handles: Z_m(t) of the reduced model, φ = X + Σ W_m Z_m [X; 1], shape [T, M + 1, 3, 4].
-        weight_points, weights: rest positions [m], shape [N, 3], and skinning weights, shape [N, M], of the mesh nodes.
-        model: "full" or "reduced": the model that gives vertices and markers.
-        mesh, nodes: the mesh of that model at rest, and its nodes [m], shape [T, K, 3].
-        reduced_gap: rms distance [m] of the reduced model to it with its first weights, and with those refined by the
-            full model's motion, whose handles these are; empty without the full model.
-    """
-
-    times: Float[np.ndarray, " T"]
-    vertices: Float[np.ndarray, "T V 3"]
-    faces: Int[np.ndarray, "F 3"]
-    markers: Float[np.ndarray, "T P 3"]
-    handles: Float[np.ndarray, "T K 3 4"]
-    weight_points: Float[np.ndarray, "N 3"]
-    weights: Float[np.ndarray, "N M"]
-    model: str
-    mesh: TetMesh
-    nodes: Float[np.ndarray, "T K 3"]
-    reduced_gap: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class RigidDrift:
-    """Rigid drift of the recording from the model.
-
-    Attributes:
-        first_frame: of the first contact.
-        sigma: standard deviation of the change of velocity in each frame [m/s].
-        rms: distance by frame [m], shape [T].
-        size: of the body [m].
-    """
-
-    first_frame: int
-    sigma: float
-    rms: Float[np.ndarray, " T"]
-    size: float
-
-    def to_json(self) -> dict[str, JsonValue]:
-        """For `refinement.json`."""
-        return {"first_frame": self.first_frame, "sigma_m_per_s": self.sigma, "rms_m": [float(r) for r in self.rms]}
-
-    def sentences(self) -> tuple[str, ...]:
-        """Notes for the user."""
-        share = float(self.rms.max()) / self.size
-        if share < _DRIFT_TOLD:
-            return ()
-        return (
-            f"From the contact by frame {self.first_frame} on the recording drifts from the model as a rigid body, by "
-            f"{100 * share:.0f} % of its size at most; the estimates rest on what is left. Contact points, friction "
-            "or the initial motion may be other than stated.",
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class Refinement:
     """Parameters with uncertainty, motion and history of one capture.
@@ -232,7 +151,7 @@ class Refinement:
     sources: tuple[str, ...]
     warnings: tuple[str, ...]
     nuisances: dict[str, float]
-    appearance: MovingField | None = None
+    appearance: Appearance | None = None
     drift: RigidDrift | None = None
     followed: RefinedMotion | None = None
 
@@ -285,18 +204,16 @@ class Refinement:
 
     def to_json(self) -> dict[str, JsonValue]:
         """Everything but the arrays of the motion; docs/reference/refinement_files.md describes each entry."""
-        names = [e.name for e in self.estimates]
-        told = self.identifiability
-        ends = self.youngs_modulus_interval
+        names, told, ends = [e.name for e in self.estimates], self.identifiability, self.youngs_modulus_interval
         interval: JsonValue = None if ends is None else [*ends]
+
+        def by_name(values: Float[np.ndarray, " K"]) -> dict[str, JsonValue]:
+            return dict(zip(names, map(float, values), strict=True))
+
         return {
             "schema": REFINEMENT_SCHEMA,
             "path": self.path,
-            "youngs_modulus": {
-                "value": self.youngs_modulus,
-                "unit": "Pa",
-                "interval_90": interval,
-            },
+            "youngs_modulus": {"value": self.youngs_modulus, "unit": "Pa", "interval_90": interval},
             "parameters": {e.name: e.to_json() for e in self.estimates},
             "fixed": {name: {"value": value, "unit": unit_of(name)} for name, value in self.fixed.items()},
             "noise_covariance": {"order": [*names], "matrix": self.covariance.tolist()},
@@ -310,23 +227,12 @@ class Refinement:
                 "at_bounds": list(told.at_bounds),
                 "in_words": list(told.sentences),
             },
-            "reduced_model_alone": dict(zip(names, map(float, self.reduced_values), strict=True)),
+            "reduced_model_alone": by_name(self.reduced_values),
             "full_model_runs": [
-                {
-                    "values": dict(zip(names, map(float, run.values), strict=True)),
-                    "misfit": _plain(run.misfit),
-                    "rms_to_start_m": _plain(run.distance),
-                }
+                {"values": by_name(run.values), "misfit": _plain(run.misfit), "rms_to_start_m": _plain(run.distance)}
                 for run in self.full_runs
             ],
-            "history": [
-                {
-                    "values": dict(zip(names, map(float, i.values), strict=True)),
-                    "misfit": i.misfit,
-                    "damping": i.damping,
-                }
-                for i in self.history
-            ],
+            "history": [{"values": by_name(i.values), "misfit": i.misfit, "damping": i.damping} for i in self.history],
             "converged": self.converged,
             "motion_model": self.motion.model,
             "reduced_model_rms_m": dict(

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from pydantic import JsonValue
 
+from inference.refinement.motion import RefinedMotion
 from inference.refinement.problem import Problem
-from inference.refinement.result import RefinedMotion, RigidDrift
-from inference.refinement.run import RefinementRun
+from inference.refinement.stages import RefinementRun
 from physconvex import ConvergenceError
 from physconvex.identify import (
     Fit,
@@ -23,6 +24,39 @@ from physconvex.identify import (
 from physconvex.mesh import Embedding
 
 _LIMIT = 2.0  # times the difference of two meshes
+_TOLD = 0.01  # of the size: least drift that is reported to the user
+
+
+@dataclass(frozen=True, eq=False)
+class RigidDrift:
+    """Rigid drift of the recording from the model.
+
+    Attributes:
+        first_frame: of the first contact.
+        sigma: standard deviation of the change of velocity in each frame [m/s].
+        rms: distance by frame [m], shape [T].
+        size: of the body [m].
+    """
+
+    first_frame: int
+    sigma: float
+    rms: Float[np.ndarray, " T"]
+    size: float
+
+    def to_json(self) -> dict[str, JsonValue]:
+        """For `refinement.json`."""
+        return {"first_frame": self.first_frame, "sigma_m_per_s": self.sigma, "rms_m": [float(r) for r in self.rms]}
+
+    def sentences(self) -> tuple[str, ...]:
+        """Notes for the user."""
+        share = float(self.rms.max()) / self.size
+        if share < _TOLD:
+            return ()
+        return (
+            f"From the contact by frame {self.first_frame} on the recording drifts from the model as a rigid body, by "
+            f"{100 * share:.0f} % of its size at most; the estimates rest on what is left. Contact points, friction "
+            "or the initial motion may be other than stated.",
+        )
 
 
 def with_drift_limit(run: RefinementRun, problem: Problem, model: FullModel, other: FullModel, found: Fit) -> Problem:

@@ -1,4 +1,4 @@
-"""Finished stages on disk: a stopped refinement continues after the last of them.
+"""The state of a refinement, and its finished stages on disk: a stopped one continues after the last of them.
 
 `stages/NAME.npz` holds the arrays of a stage and its key: a digest of the capture's files and of the settings. With
 another key, all stages are computed anew. Fits are stored as arrays.
@@ -10,15 +10,17 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
 
+from inference.refinement.options import RefineOptions
 from physconvex import InputError, __version__
-from physconvex.identify import Candidate, Correction, Fit, FullRun, Iteration, Parameter
+from physconvex.identify import Candidate, Correction, Fit, FullRun, Iteration, Parameter, RollOuts
+from physconvex.io import Capture, Workers
 
 Arrays = dict[str, np.ndarray]
 Scanned = tuple[tuple[Parameter, ...], ...]
@@ -114,6 +116,34 @@ class Stages:
         partial = self.folder / f".{name}.{os.getpid()}.npz"
         np.savez_compressed(partial, **arrays, **{_KEY: np.array(self.key)})  # type: ignore[arg-type]
         os.replace(partial, self.folder / f"{name}.npz")
+
+
+@dataclass(eq=False)
+class RefinementRun:
+    """A running refinement.
+
+    Attributes:
+        capture: the capture.
+        options: the settings; the correction is off if the full model fails.
+        stages: the finished stages.
+        workers: processes for parallel work.
+        warnings: notes for the user.
+        memory: the last roll-outs of full models.
+    """
+
+    capture: Capture
+    options: RefineOptions = field(default_factory=RefineOptions)
+    stages: Stages = field(default_factory=Stages)
+    workers: Workers = field(default_factory=Workers)
+    warnings: list[str] = field(default_factory=list)
+    memory: RollOuts = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.memory = RollOuts(workers=self.workers)
+
+    def fit(self, name: str, parameters: Sequence[Parameter], compute: Callable[[], Fit]) -> Fit:
+        """The fit of a stage: read if it is finished, else computed and stored."""
+        return fit_of(self.stages.run(name, lambda: arrays_of_fit(compute())), parameters)
 
 
 def arrays_of_scan(

@@ -108,13 +108,12 @@ def test_the_fit_on_more_nodes_is_left_out_or_to_the_colours_where_that_will_do(
     begun = SimpleNamespace(values=np.array([6.3, 0.3]), parameters=problem.parameters)
     monkeypatch.setattr(fine_fit, "fine_mesh", lambda run, twin, found: "more nodes")
     monkeypatch.setattr(Problem, "full", lambda self, memory: None)
-    monkeypatch.setattr(fine_fit, "fit_of", lambda arrays, parameters: "fitted")
+    monkeypatch.setattr(RefinementRun, "fit", lambda self, name, parameters, compute: "fitted")
     monkeypatch.setattr(fine_fit, "replace", lambda of, **changes: replace(of, **changes) if of is not begun else of)
     kept = {
         "fine_apart": {"apart": np.array(apart)},
         "fine_start": {"values": begun.values + 0.1 * better},
         "fine_errors": {"errors": np.ones(3), "astray": np.array(0.02)},
-        "fine": {},
     }
     stages = SimpleNamespace(run=lambda name, compute: kept[name])
     monkeypatch.setattr(fine_fit, "with_drift", lambda run, problem, found, name: problem)
