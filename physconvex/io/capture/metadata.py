@@ -55,7 +55,7 @@ class CaptureFile(_Entry):
     frames: Count
     """Number of frames."""
     observed_frames: OptionalCount = None
-    """The first so many frames may be fitted, the others are there to be predicted. Default: all."""
+    """Number of first frames that may be fitted; the others test the prediction. Default: all."""
     gravity: Vector = (0.0, 0.0, -9.81)
     """Acceleration by gravity [m/s²]."""
     density: Positive = 1000.0
