@@ -1,6 +1,6 @@
-"""Simulated and rendered training data: random drops of soft bodies, data sets and captures.
+"""Simulated and rendered training data: falls of random soft bodies, data sets and captures.
 
-The names below are resolved on first use (PEP 562), so that readers of data sets do not load the renderer.
+Names are loaded on first use (PEP 562), so a reader of data sets does not load the renderer.
 """
 
 import lazy_loader

@@ -1,6 +1,6 @@
-"""Predict elastic constants and skinning weights of clips; reconstruct objects; with result files.
+"""Prediction from clips, refinement of captures, reconstruction of objects, and their result files.
 
-Names are resolved on first use (PEP 562), so that a process that only reads clips stays light.
+Names are loaded on first use (PEP 562), so a process that only reads clips does not load the network.
 """
 
 import lazy_loader

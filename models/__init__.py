@@ -1,6 +1,6 @@
 """Clip preparation, network, heads, calibration and checkpoints.
 
-Names are resolved on first use (PEP 562).
+Names are loaded on first use (PEP 562).
 """
 
 import lazy_loader

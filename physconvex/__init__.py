@@ -1,9 +1,7 @@
-"""Material parameters of soft objects from video: one light face over the packages of the repository.
+"""Material parameters of soft objects from video: the main functions of the repository.
 
-Library code logs its progress to the logger "physconvex", which is silent unless a program configures it; commands
-print.
-Importing this package loads nothing heavy; the names below are resolved on first use (PEP 562). `__init__.pyi` tells
-their types.
+The library logs its progress to the logger "physconvex", which is silent unless a program configures it. Names are
+loaded on first use (PEP 562); `__init__.pyi` holds their types.
 """
 
 import logging

@@ -55,7 +55,7 @@ def pretrain_command(
     plan: Pretraining,
     device: Annotated[str, typer.Option(help="CUDA device, or `cpu` (some hundred times slower).")] = "cuda",
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    resume: Annotated[bool, typer.Option(help="Continue the run in --out.")] = True,
+    resume: Annotated[bool, typer.Option(help="Continue the run in OUT.")] = True,
     cache: Cache = None,
     workers: Annotated[int, typer.Option(help="Processes that prepare clips and bodies.", min=1)] = 2,
 ) -> None:

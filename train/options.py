@@ -27,7 +27,7 @@ class TrainOptions(Options):
     device: str = "auto"
     """`auto` (an accelerator if there is one) or `cpu`."""
     resume: bool = True
-    """Continue the run in --out."""
+    """Continue the run in OUT."""
     minutes: float | None = None
     """Stop after this time [min]; the learning-rate schedule fits it."""
     cache: Path | None = None

@@ -1,9 +1,6 @@
-"""Diagnosis of the sim-to-real gap: where it lies, which unmodelled effect causes it, how far it shrinks.
+"""Diagnosis of the sim-to-real gap: where it lies, which unmodelled effect causes it, how far that effect reduces it.
 
-report = physconvex.diagnose("capture/")
-report.verdict.sentence
-report.save("diagnosis/")
-improved = report.apply()
+`physconvex.diagnose("capture/")` returns a `GapReport`: its `verdict`, `save` and `apply`, the model with the effects.
 """
 
 import lazy_loader
