@@ -1,10 +1,10 @@
-"""Cost of the full-order model's parts on one core by three arithmetics, side by side.
+"""Cost of the full-order model's parts on one core by two arithmetics, side by side.
 
 python benchmarks/full_order_speed.py
 
 A cube of quadratic tetrahedra dropped on a tilted, rough floor, 12 frames of 8 steps. "Plain" is the arithmetic that
-every law has, and solves that are refined twice, which is what Pardiso does unless its settings are given; "numpy" that
-of the neo-Hookean laws where nothing can be compiled; "compiled" the usual one.
+every law has, and solves that are refined twice, which is what Pardiso does unless its settings are given; "compiled"
+the usual one of the neo-Hookean laws.
 """
 
 from __future__ import annotations
@@ -15,14 +15,12 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 import torch
 
 from physconvex.dynamics import ContactSolver, Plane, State, Timing, implicit_euler, simulate
-from physconvex.fem import ElasticBody, NodalEquations, Scene, compiled_elements as kernel
-from physconvex.kernels import Kernel
+from physconvex.fem import ElasticBody, NodalEquations, Scene
 from physconvex.mesh import box_mesh
 from physconvex.numerics import sparse_solvers as linear_solvers
 
@@ -37,7 +35,7 @@ class Row:
     Attributes:
         nodes: of the mesh.
         damping_time: of the body [s].
-        arithmetic: "plain", "numpy" or "compiled".
+        arithmetic: "plain" or "compiled".
         evaluate, factorise, solve: energy and gradient; stiffness and its factor; one right-hand side [ms].
         passes, condensed: the roll-out with either contact solver [s].
     """
@@ -64,13 +62,6 @@ def milliseconds(call: Callable[[], object], repeats: int = 20) -> float:
 
 def measure(cells: int, damping_time: float, arithmetic: str) -> Row:
     """One mesh, with one arithmetic."""
-    if arithmetic != "numpy":
-        return _measure(cells, damping_time, arithmetic)
-    with patch.object(kernel, "FEM_KERNEL", Kernel(Path("not wanted"), {})):
-        return _measure(cells, damping_time, arithmetic)
-
-
-def _measure(cells: int, damping_time: float, arithmetic: str) -> Row:
     fast = arithmetic != "plain"
     body = ElasticBody(box_mesh((0.12,) * 3, (cells,) * 3), youngs_modulus=5e4, poisson_ratio=0.4)
     body._quick = body._quick if fast else None
@@ -105,7 +96,7 @@ def main() -> None:
     torch.set_num_threads(1)
     rows = []
     for cells, damping_time in ((4, 0.0), (4, 3e-3), (6, 0.0)):
-        for arithmetic in ("plain", "numpy", "compiled"):
+        for arithmetic in ("plain", "compiled"):
             rows.append(measure(cells, damping_time, arithmetic))
             print(rows[-1], flush=True)
     content = {"command": "python benchmarks/full_order_speed.py", "rows": [asdict(row) for row in rows]}

@@ -11,14 +11,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.fem.assembly import scalar_matrix
-from physconvex.fem.compiled_elements import volumetric_elements
-from physconvex.fem.volumetric import StepViscosity, VolumetricElements
+from physconvex.fem.compiled_elements import CompiledElements, compiled_elements
 from physconvex.materials import (
     FlowRule,
     FlowStep,
     Law,
     MaterialBody,
     MaterialPoints,
+    StepViscosity,
     checked_constant,
     lame_parameters,
     project_to_positive,
@@ -72,10 +72,10 @@ class ElasticBody(MaterialBody):
         count, points, nodes, _ = self._gradients.shape
         self._flat_gradients = self._gradients.transpose(1, 2).reshape(count, nodes, points * 3).contiguous()
         self._tets = torch.as_tensor(mesh.tets, device=self.device)
-        self._quick: VolumetricElements | None = None
-        if flow is None and self.device.type == "cpu" and self.law.volumetric is not None:
+        self._quick: CompiledElements | None = None
+        if flow is None and self.device.type == "cpu":
             arrays = (t.numpy() for t in (self._gradients, self._weights, self.mu, self.lam))
-            self._quick = volumetric_elements(self.law, mesh.tets, len(mesh.vertices), MaterialPoints(*arrays))
+            self._quick = compiled_elements(self.law, mesh.tets, MaterialPoints(*arrays))
 
     # -- set-up
 

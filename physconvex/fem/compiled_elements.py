@@ -1,4 +1,4 @@
-"""The compiled arithmetic of `VolumetricElements`, and of sums of element matrices."""
+"""The compiled arithmetic of tetrahedra with a neo-Hookean law and viscosity, and of sums of element matrices."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from physconvex.fem.volumetric import StepViscosity, VolumetricElements
 from physconvex.kernels import POINTER, SOURCES, Kernel, address, aligned, doubles
-from physconvex.materials import KERNEL_LAWS, NEARLY_FLAT, Law, MaterialPoints
+from physconvex.materials import KERNEL_LAWS, NEARLY_FLAT, Law, MaterialPoints, StepViscosity
 
 Array = np.ndarray
 _MOST_NODES, _MOST_POINTS = 10, 4  # of an element there
@@ -50,11 +49,11 @@ FEM_KERNEL = Kernel(
 )
 
 
-def volumetric_elements(law: Law, tets: Int[Array, "E n"], count: int, points: MaterialPoints) -> VolumetricElements:
-    """The quadrature points of a body, see `VolumetricElements`; those of plain numpy if nothing can be compiled."""
+def compiled_elements(law: Law, tets: Int[Array, "E n"], points: MaterialPoints) -> CompiledElements | None:
+    """The quadrature points of a body, see `CompiledElements`; None if these cannot be compiled."""
     small = points.gradients.shape[1] <= _MOST_POINTS and points.gradients.shape[2] <= _MOST_NODES
-    kind = CompiledElements if small and FEM_KERNEL.available else VolumetricElements
-    return kind(law, tets, count, points)
+    known = law.volumetric is not None and small and FEM_KERNEL.available
+    return CompiledElements(law, tets, points) if known else None
 
 
 def sum_into(
@@ -68,17 +67,22 @@ def sum_into(
     return out
 
 
-class CompiledElements(VolumetricElements):
-    """The same numbers, computed for several elements at once.
+class CompiledElements:
+    """The quadrature points of a body of a law Ψ = μ/2 (I₁ − 3) + f(J), with viscosity, several elements at once.
+
+    Args:
+        law: one with a `volumetric` part.
+        tets: node indices.
+        points: Q of each element.
 
     Raises:
         KernelUnavailable: the kernel cannot be compiled here.
     """
 
-    def __init__(self, law: Law, tets: Int[Array, "E n"], count: int, points: MaterialPoints) -> None:
-        super().__init__(law, tets, count, points)
+    def __init__(self, law: Law, tets: Int[Array, "E n"], points: MaterialPoints) -> None:
         self._law, self._lanes = KERNEL_LAWS.index(law.name), FEM_KERNEL.library.pc_lanes()
-        self._blocks = self._by_block(self._gradients)  # [blocks, Q, n, 3, lanes]
+        self._shape = points.gradients.shape
+        self._blocks = self._by_block(points.gradients)  # [blocks, Q, n, 3, lanes]
         self._tets_by_block = self._by_block(np.asarray(tets, dtype=np.int32))
         self._constants = [self._by_block(array) for array in (points.weights, points.mu, points.lam)]
 

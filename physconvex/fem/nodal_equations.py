@@ -11,8 +11,7 @@ from physconvex.fem.assembly import Assembler
 from physconvex.fem.carried_contact import CarriedContact
 from physconvex.fem.hanging_load import Hanging
 from physconvex.fem.scene import Scene
-from physconvex.fem.volumetric import StepViscosity
-from physconvex.materials import FlowStep
+from physconvex.materials import FlowStep, StepViscosity
 from physconvex.numerics import SymmetricSolver
 
 

@@ -1,4 +1,4 @@
-from .body import MaterialBody as MaterialBody
+from .body import MaterialBody as MaterialBody, StepViscosity as StepViscosity
 from .combined_flows import Flows as Flows, stored_flows as stored_flows
 from .inelastic import (
     FlowRule as FlowRule,

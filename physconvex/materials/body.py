@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -14,6 +15,26 @@ from torch import Tensor
 from physconvex.materials.combined_flows import stored_flows
 from physconvex.materials.inelastic import FlowRule, FlowStep
 from physconvex.materials.laws import Law, get_law, isotropic_stress, strain_rate
+
+
+@dataclass(frozen=True)
+class StepViscosity:
+    """Kelvin–Voigt viscosity during a time step.
+
+    Attributes:
+        state: F* at which it is frozen, shape [E, Q, 3, 3].
+        damping_time: viscosities over Lamé constants [s].
+        step: derivative of positions by velocities [s].
+    """
+
+    state: Tensor
+    damping_time: float
+    step: float
+
+    @property
+    def ratio(self) -> float:
+        """Damping time over the time step [-]."""
+        return self.damping_time / self.step
 
 
 class MaterialBody(ABC):

@@ -6,8 +6,7 @@ import scipy.sparse as sp
 
 from physconvex.dynamics import Loads, Plane, Sphere, State, bdf2, implicit_euler
 from physconvex.fem import ElasticBody, NodalEquations, NodePins, Scene
-from physconvex.fem.volumetric import StepViscosity
-from physconvex.materials import LAWS
+from physconvex.materials import LAWS, StepViscosity
 from physconvex.mesh import box_mesh
 
 E = 1e4

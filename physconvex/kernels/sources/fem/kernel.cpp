@@ -1,7 +1,11 @@
 // Energy, forces and stiffness of tetrahedra of the laws Ψ = μ/2 (I₁ - 3) + f(J), and Kelvin-Voigt viscosity.
 //
-// The arithmetic is that of volumetric.py in float64. LANES elements go at once, one in each lane; what belongs to an
-// element stays in the first cache. In the last block lanes that are left over repeat the last element and count nothing.
+// With C = cof F and u_ai = Σ_j C_ij ∂N_a/∂X_j, the stiffness of an element is
+//   H_aibk = δ_ik Σ w μ ∂N_a·∂N_b + Σ w f'' u_ai u_bk + Σ w f'/J (u_ai u_bk − u_ak u_bi)
+// (see reduced/volumetric.py), and with v_ai = Σ_j F*_ij ∂N_a/∂X_j that of the viscosity of a step
+//   Σ w λ_v v_ai v_bk + Σ w μ_v v_ak v_bi + Σ w μ_v (F* F*ᵀ)_ik ∂N_a·∂N_b.
+// All in float64, as fem/body.py. LANES elements go at once, one in each lane; what belongs to an element stays in the
+// first cache. In the last block lanes that are left over repeat the last element and count nothing.
 
 #include "contact.h"
 #include "volumetric.h"
