@@ -16,14 +16,8 @@ Traction = Sequence[float] | Float[np.ndarray, "..."] | Callable[[Float[np.ndarr
 
 def _triangle_rule_degree_4() -> tuple[Float[np.ndarray, "Q 3"], Float[np.ndarray, " Q"]]:
     """Six points, degree 4 (Dunavant 1985, table II, p = 4); weights sum to one."""
-    points, weights = [], []
-    for a, weight in ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322)):
-        for i in range(3):
-            point = np.full(3, a)
-            point[i] = 1 - 2 * a
-            points.append(point)
-            weights.append(weight)
-    return np.array(points), np.array(weights)
+    inner, weights = (0.445948490915965, 0.091576213509771), (0.223381589678011, 0.109951743655322)
+    return np.concatenate([np.where(np.eye(3) > 0, 1 - 2 * a, a) for a in inner]), np.repeat(weights, 3)
 
 
 def _triangle_shapes(b: np.ndarray, order: int) -> np.ndarray:

@@ -76,16 +76,14 @@ def cofactor_and_determinant(f: Float[Array, "3 3 Q"]) -> tuple[Float[Array, "3 
 
 @np.errstate(over="ignore", invalid="ignore")  # a far too long trial step has no finite energy, and is rejected
 def energy_and_stress(
-    term: VolumetricTerm, f: Float[Array, "3 3 Q"], weights: Array, mu: Array, lam: Array, *, with_energy: bool = True
+    term: VolumetricTerm, f: Float[Array, "3 3 Q"], weights: Array, mu: Array, lam: Array
 ) -> tuple[float, Float[Array, "3 3 Q"]]:
-    """Energy [J] (NaN without), and the stresses μ F + f' cof F times the weights; they overwrite F."""
+    """Energy [J], and the stresses μ F + f' cof F times the weights; they overwrite F."""
     cofactor, j = cofactor_and_determinant(f)
     value, slope, _ = slopes_of_volume(term, j, mu, lam)
     weighted_mu = weights * mu
-    energy = float("nan")
-    if with_energy:
-        square = np.einsum("ijq,ijq->q", f, f)
-        energy = 0.5 * float(weighted_mu @ (square - 3)) + float(weights @ value)
+    square = np.einsum("ijq,ijq->q", f, f)
+    energy = 0.5 * float(weighted_mu @ (square - 3)) + float(weights @ value)
     cofactor *= weights * slope
     f *= weighted_mu
     f += cofactor

@@ -99,10 +99,9 @@ class _WeightsRollOut(torch.autograd.Function):
         sweep = Sweep(ctx.recorded.scene, (), field)
         ctx.recorded.swept(sweep, trajectory.space.shape_values(ctx.points).T @ by_position)
         seen = np.einsum("tni,tri->nr", by_position, trajectory.coordinates)
-        found = field.finish(sweep.products)
-        parts = (found.interior, found.surface, found.mass, found.pins, found.loads)
-        values = np.concatenate([*parts, trajectory.space.weights_of_values(ctx.points, seen)])
-        return torch.as_tensor(values).to(ctx.like), torch.as_tensor(found.interior_slopes).to(ctx.like), None, None
+        values, slopes = field.finish(sweep.products)
+        values = np.concatenate([values, trajectory.space.weights_of_values(ctx.points, seen)])
+        return torch.as_tensor(values).to(ctx.like), torch.as_tensor(slopes).to(ctx.like), None, None
 
 
 def rollout_of_weights(

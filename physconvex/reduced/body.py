@@ -168,7 +168,7 @@ class ReducedBody(MaterialBody):
     def gradient_with(self, y: Float[np.ndarray, "R 3"], mu: Tensor, lam: Tensor) -> Float[np.ndarray, "R 3"]:
         """The derivative [N] with other constants μ and λ of the elastic law [Pa], shape [Q]."""
         if self._quick is not None:
-            return self._quick.gradient_with(y, mu.numpy(), lam.numpy())
+            return self._quick.energy_and_gradient(y, (mu.numpy(), lam.numpy()))[1]
         return self.forces_of(self.law.stress(self.deformation_gradient(y), mu, lam))
 
     def hessian(self, y: Float[np.ndarray, "R 3"], *, project: bool = False) -> Float[np.ndarray, "N N"]:
@@ -226,7 +226,7 @@ class ReducedBody(MaterialBody):
     ) -> Float[np.ndarray, "R 3"]:
         """The derivative [N] for other viscosities μ_v and λ_v [Pa·s], shape [Q]."""
         if self._viscosity is not None:
-            return self._viscosity.gradient_with(state.numpy(), velocity, mu.numpy(), lam.numpy())
+            return self._viscosity.energy_and_gradient(state.numpy(), velocity, 1.0, (mu.numpy(), lam.numpy()))[1]
         return self.forces_of(viscous_stress(state, self.deformation_gradient(velocity), mu, lam))
 
     def viscous_tangent(

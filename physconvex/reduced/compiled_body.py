@@ -22,6 +22,8 @@ _BLOCK = 500_000  # numbers in the rows whose products are summed at once: they 
 class _Body(ctypes.Structure):
     """`struct Body` of sources/reduced/kernel.cpp."""
 
+    constants: tuple[Array, Array]  # as long as their addresses
+
     _fields_ = (
         *((name, ctypes.c_int32) for name in ("samples", "functions", "law")),
         ("flat", ctypes.c_double),
@@ -84,19 +86,14 @@ class CompiledSamples(VolumetricSamples):
         super().__init__(law, points)
         self._compiled = _Compiled(points, law=KERNEL_LAWS.index(law.name))
 
-    def _energy_and_forces(self, body: _Body, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
+    def energy_and_gradient(
+        self, y: Float[Array, "R 3"], constants: tuple[Array, Array] | None = None
+    ) -> tuple[float, Float[Array, "R 3"]]:
+        """Elastic energy [J] and its derivative by the coordinates [N], as there."""
+        body = self._compiled.body if constants is None else self._compiled.with_constants(*constants)
         y, forces = doubles(y), np.empty(y.shape)
         energy = REDUCED_KERNEL.library.pc_energy_and_forces(body, address(y), address(forces))
         return energy, forces
-
-    def energy_and_gradient(self, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
-        """Elastic energy [J] and its derivative by the coordinates [N]."""
-        return self._energy_and_forces(self._compiled.body, y)
-
-    def gradient_with(self, y: Float[Array, "R 3"], mu: Array, lam: Array) -> Float[Array, "R 3"]:
-        """The derivative [N] with other constants μ and λ [Pa], shape [Q]."""
-        mu, lam = doubles(mu), doubles(lam)
-        return self._energy_and_forces(self._compiled.with_constants(mu, lam), y)[1]
 
     def hessian_blocks(self, y: Float[Array, "R 3"]) -> Float[Array, "3 R 3 R"] | None:
         """Second derivative [N/m], components first; None where the body is nearly flat at a sample."""
@@ -124,17 +121,20 @@ class CompiledViscosity:
         self._compiled = _Compiled(points)
 
     def energy_and_gradient(
-        self, state: Float[Array, "Q 3 3"], velocity: Float[Array, "R 3"], damping_time: float
+        self,
+        state: Float[Array, "Q 3 3"],
+        velocity: Float[Array, "R 3"],
+        damping_time: float,
+        constants: tuple[Array, Array] | None = None,
     ) -> tuple[float, Float[Array, "R 3"]]:
-        """Rate potential [W] and its derivative by velocity [N] of viscosities damping_time × (μ, λ)."""
-        return self._power(self._compiled.body, state, velocity, damping_time)
+        """Rate potential [W] and its derivative by velocity [N] of viscosities damping_time × (μ, λ).
 
-    def gradient_with(
-        self, state: Float[Array, "Q 3 3"], velocity: Float[Array, "R 3"], mu: Array, lam: Array
-    ) -> Float[Array, "R 3"]:
-        """The derivative [N] for viscosities μ and λ [Pa·s], shape [Q]."""
-        mu, lam = doubles(mu), doubles(lam)
-        return self._power(self._compiled.with_constants(mu, lam), state, velocity, 1.0)[1]
+        `constants` take the place of the body's μ and λ.
+        """
+        body = self._compiled.body if constants is None else self._compiled.with_constants(*constants)
+        state, velocity, forces = doubles(state), doubles(velocity), np.empty(velocity.shape)
+        given = body, address(state), damping_time, address(velocity), address(forces)
+        return REDUCED_KERNEL.library.pc_viscous_power(*given), forces
 
     def tangent(
         self,
@@ -149,12 +149,6 @@ class CompiledViscosity:
         first, *others = map(address, given)
         REDUCED_KERNEL.library.pc_viscous_tangent(self._compiled.body, first, damping_time, *others, address(forces))
         return forces
-
-    @staticmethod
-    def _power(body: _Body, state: Array, velocity: Array, time: float) -> tuple[float, Float[Array, "R 3"]]:
-        state, velocity, forces = doubles(state), doubles(velocity), np.empty(velocity.shape)
-        power = REDUCED_KERNEL.library.pc_viscous_power(body, address(state), time, address(velocity), address(forces))
-        return power, forces
 
     def blocks(self, state: Float[Array, "Q 3 3"], ratio: float) -> Float[Array, "3 R 3 R"]:
         """Stiffness [N/m] of viscosities whose time is `ratio` time steps, components first."""
@@ -224,6 +218,9 @@ class _Compiled:
         return self.with_constants(self._mu, self._lam)
 
     def with_constants(self, mu: Float[Array, " Q"], lam: Float[Array, " Q"]) -> _Body:
-        """With other constants, which must outlive it."""
+        """With other constants."""
+        mu, lam = doubles(mu), doubles(lam)
         arrays = (self._blocks, self._gradients, self._weights, mu, lam)
-        return _Body(len(self._weights), self.size, self._law, NEARLY_FLAT, *map(address, arrays))
+        body = _Body(len(self._weights), self.size, self._law, NEARLY_FLAT, *map(address, arrays))
+        body.constants = mu, lam
+        return body

@@ -10,8 +10,6 @@ the basis of the space.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -50,24 +48,6 @@ def density_gradient(
         shares += (values @ start - middle) @ center / total
         np.add.at(out, mass.cells[rows], mass.weights[rows] * shares)
     return out
-
-
-@dataclass(frozen=True)
-class FieldGradient:
-    """Derivatives of a loss by M weights.
-
-    Attributes:
-        interior_slopes: by ∂W_m/∂X at the interior samples [m], shape [Q, M, 3].
-        interior, surface, mass, pins, loads: by W_m at the interior samples, the surface samples, the points at which
-            the mass is integrated, the pins and the points of the loads, shape [·, M].
-    """
-
-    interior_slopes: Float[np.ndarray, "Q M 3"]
-    interior: Float[np.ndarray, "Q M"]
-    surface: Float[np.ndarray, "S M"]
-    mass: Float[np.ndarray, "B M"]
-    pins: Float[np.ndarray, "C M"]
-    loads: Float[np.ndarray, "P M"]
 
 
 class FieldBars:
@@ -143,25 +123,26 @@ class FieldBars:
             np.add.at(force, part.nodes, part.weights[:, None] * part.slip(equations.surface @ velocity))
         self.add_surface(force, force_bar)
 
-    def finish(self, products: Float[np.ndarray, "R R"]) -> FieldGradient:
+    def finish(self, products: Float[np.ndarray, "R R"]) -> tuple[Float[np.ndarray, "P M"], Float[np.ndarray, "Q M 3"]]:
         """By the weights, at the end of the sweep.
 
         Args:
             products: Σ λ_a · (pull − g)_b over all solves.
+
+        Returns:
+            derivatives by W_m at the interior samples, the surface samples, the points at which the mass is integrated,
+            the pins and the points of the loads, and by ∂W_m/∂X at the interior samples [m].
         """
         space, mass = self.body.space, self.body.space.samples.mass
         density = mass.weights * self.body.density[mass.cells]
         heavier = density[:, None] * (space.shape_values(mass.points) @ (products + products.T))
         by_gradients = self._interior.reshape(-1, 3, space.dimension).transpose(0, 2, 1)
-        values, slopes = space.weights_of_gradients(space.samples.interior.points, by_gradients)
+        interior, slopes = space.weights_of_gradients(space.samples.interior.points, by_gradients)
         none = np.zeros((0, 3))
-        pins = none if self.scene.pins is None else self.scene.pins.points
-        loads = none if self.scene.loads is None else self.scene.loads.points
-        return FieldGradient(
-            interior_slopes=slopes,
-            interior=values,
-            surface=space.weights_of_values(space.samples.surface_points, self._surface),
-            mass=space.weights_of_values(mass.points, heavier),
-            pins=space.weights_of_values(pins, self._pins),
-            loads=space.weights_of_values(loads, self._loads),
+        by_values = (
+            (space.samples.surface_points, self._surface),
+            (mass.points, heavier),
+            (none if self.scene.pins is None else self.scene.pins.points, self._pins),
+            (none if self.scene.loads is None else self.scene.loads.points, self._loads),
         )
+        return np.concatenate([interior, *(space.weights_of_values(*pair) for pair in by_values)]), slopes

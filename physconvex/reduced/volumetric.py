@@ -59,16 +59,18 @@ class VolumetricSamples:
         return f
 
     @np.errstate(over="ignore", invalid="ignore")  # a far too long trial step has no finite energy, and is rejected
-    def energy_and_gradient(self, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
-        """Elastic energy [J] and its derivative by the coordinates [N]."""
-        f = self._deformation_gradient(y)
-        energy, stress = energy_and_stress(self._part, f, self._weights, self._mu, self._lam)
-        return energy, self._forces(stress)
+    def energy_and_gradient(
+        self, y: Float[Array, "R 3"], constants: tuple[Array, Array] | None = None
+    ) -> tuple[float, Float[Array, "R 3"]]:
+        """Elastic energy [J] and its derivative by the coordinates [N].
 
-    def gradient_with(self, y: Float[Array, "R 3"], mu: Array, lam: Array) -> Float[Array, "R 3"]:
-        """The derivative [N] with other constants μ and λ [Pa], shape [Q]."""
-        f = self._deformation_gradient(y)
-        return self._forces(energy_and_stress(self._part, f, self._weights, mu, lam, with_energy=False)[1])
+        Args:
+            y: coordinates [m].
+            constants: μ and λ [Pa], shape [Q], in place of the body's.
+        """
+        mu, lam = constants or (self._mu, self._lam)
+        energy, stress = energy_and_stress(self._part, self._deformation_gradient(y), self._weights, mu, lam)
+        return energy, self._forces(stress)
 
     def _forces(self, stress: Float[Array, "3 3 Q"]) -> Float[Array, "R 3"]:
         """Of stresses times the weights."""
