@@ -35,7 +35,7 @@ from data_gen.generate import (
 from data_gen.scene import LOOK, Drop, Look, draw_look, random_stream, surface_of
 from physconvex import InputError, __version__
 from physconvex.io import Capture, Floor, Options, Tracks, save_capture
-from physconvex.mesh import compact
+from physconvex.mesh import linear_part
 
 # Stream numbers below LOOK's key, in addition to those of generate.py.
 _RING, _TRACKS = 20_000, 20_001
@@ -106,7 +106,7 @@ def make_capture(task: CaptureTask) -> TaskReport:
         videos=videos,
         masks=masks,
         mesh=_rest_mesh(drop, _stream(task, success, _RING)),
-        tets=compact(simulated.mesh.vertices, simulated.mesh.corner_tets),
+        tets=linear_part(simulated.mesh),
         tracks=_tracks(task, success) if task.options.markers else None,
         truth={**_truth(task, success), "degradations": {**degradations}},
         crf=task.config.video.crf,

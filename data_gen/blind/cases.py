@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from physconvex import ConvergenceError
 from physconvex.dynamics import Plane, Timing, simulate
@@ -83,6 +83,12 @@ class Case:
     def size(self) -> float:
         """Largest edge of the bounding box [m]."""
         return float(np.ptp(self.surface.vertices, axis=0).max())
+
+    def held(self, mesh: TetMesh) -> Int[np.ndarray, " H"] | None:
+        """Nodes in the clamped box; None without one."""
+        if self.clamped is None:
+            return None
+        return np.flatnonzero(((mesh.vertices >= self.clamped[0]) & (mesh.vertices <= self.clamped[1])).all(1))
 
     @property
     def situation(self) -> Situation:
@@ -180,12 +186,10 @@ def _mesh(case: Case, nodes: int) -> TetMesh:
 def _scene(case: Case, mesh: TetMesh) -> Scene:
     body = ElasticBody(mesh, youngs_modulus=case.youngs_modulus, poisson_ratio=case.poisson_ratio, density=case.density)
     obstacles = () if case.height is None else (Plane(point=(0, 0, float(floor_height(case))), friction=0.0),)
-    pins = None
-    if case.clamped is not None:
-        held = ((mesh.vertices >= case.clamped[0]) & (mesh.vertices <= case.clamped[1])).all(1)
-        pins = NodePins(np.flatnonzero(held))
+    held = case.held(mesh)
     return Scene(
-        body, obstacles=obstacles, node_pins=pins, initial_velocity=case.velocity, initial_angular_velocity=case.spin,
+        body, obstacles=obstacles, node_pins=None if held is None else NodePins(held),
+        initial_velocity=case.velocity, initial_angular_velocity=case.spin,
         contact_stiffness=90.0 * case.youngs_modulus / mesh.size, contact_smoothing=2e-4 * mesh.size,
     )  # fmt: skip
 

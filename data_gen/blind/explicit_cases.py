@@ -15,7 +15,7 @@ from data_gen.blind.engine import ExplicitWorld, run_explicit
 from data_gen.objects.solids import random_direction
 from physconvex import ConvergenceError
 from physconvex.gap import PointMotion, rotation_vector_matrix, with_plane
-from physconvex.mesh import TetMesh, tetrahedralize
+from physconvex.mesh import TetMesh, linear_part, tetrahedralize
 
 Positions = Float[np.ndarray, "T P 3"]
 Observe = Callable[[PointMotion], Positions]
@@ -172,18 +172,13 @@ def _mesh(case: Case, nodes: int) -> TetMesh:
         cells = tuple(int(np.ceil(e / edge)) for e in high - low)
         return with_plane(low, high, (cells[0], cells[1], cells[2]), 0, float(case.clamped[1, 0]), order=1)
     pair = (np.asarray(case.surface.vertices, dtype=np.float64), np.asarray(case.surface.faces))
-    mesh = tetrahedralize(pair, max_nodes=7 * nodes, order=2, method="auto")
-    used, tets = np.unique(mesh.corner_tets, return_inverse=True)
-    return TetMesh(mesh.vertices[used], tets.reshape(-1, 4))
+    return linear_part(tetrahedralize(pair, max_nodes=7 * nodes, order=2, method="auto"))
 
 
 def _world(case: Case, mesh: TetMesh) -> ExplicitWorld:
-    held = None
-    if case.clamped is not None:
-        held = np.flatnonzero(((mesh.vertices >= case.clamped[0]) & (mesh.vertices <= case.clamped[1])).all(1))
     return ExplicitWorld(
         mesh, case.youngs_modulus, case.poisson_ratio, case.density, velocity=case.velocity, spin=case.spin,
-        floor=None if case.height is None else floor_height(case), held=held,
+        floor=None if case.height is None else floor_height(case), held=case.held(mesh),
     )  # fmt: skip
 
 

@@ -94,7 +94,7 @@ def pool(
     files: ScoreFiles,
 ) -> None:
     """Combine stored scores of several banks."""
-    from train.blind.pooling import pool_scores
+    from train.blind.summary import pool_scores
 
     _write(pool_scores(results), files)
 

@@ -110,13 +110,12 @@ def draw_batch(
 
 
 def real_batch(
-    real: RealClips, chosen: Tensor, config: TrainConfig, weight: float, generator: torch.Generator
+    real: RealClips, chosen: Tensor, weight: float, *, true_moments: Bool[Tensor, " B"] | None = None
 ) -> FallBatch:
-    """Some unchanged clips of data sets, occasionally with the moments of the true masks."""
-    draw = torch.rand(len(chosen), generator=generator, device=chosen.device)
-    shown = real.shown(chosen, true_moments=draw < config.augment.true_moments_share)
-    weights = torch.full_like(draw, weight)
-    return FallBatch(shown, real.confidence[chosen], real.log10_stiffness[chosen], real.poisson_ratio[chosen], weights)
+    """Some unchanged clips of data sets, those with the moments of the true masks that are asked for."""
+    confidence = real.confidence[chosen]
+    labels = (real.log10_stiffness[chosen], real.poisson_ratio[chosen], torch.full_like(confidence, weight))
+    return FallBatch(real.shown(chosen, true_moments=true_moments), confidence, *labels)
 
 
 def joined_batches(one: FallBatch, other: FallBatch) -> FallBatch:

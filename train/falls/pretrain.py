@@ -168,7 +168,8 @@ class _Run:
         batch = self._drawn(self.falls, chosen, self.confidence[drawn], generator)
         if self.real is not None:
             some = torch.randint(len(self.real), (plan.real,), generator=generator, device=device)
-            batch = joined_batches(batch, real_batch(self.real, some, config, plan.real_weight, generator))
+            true = torch.rand(plan.real, generator=generator, device=device) < config.augment.true_moments_share
+            batch = joined_batches(batch, real_batch(self.real, some, plan.real_weight, true_moments=true))
         shown = augment_at_once(batch.shown, config.augment, generator)
         clips = replace(batch, shown=shown).clips()
         self.network.train()
@@ -206,15 +207,13 @@ class _Run:
 
     def look_at(self, held_out: Falls, validation: RealClips | None) -> None:
         """Choose the clips that are scored, always the same."""
-        config, device = self.config, self.device
-        generator = torch.Generator(device).manual_seed(config.seed)
+        device, generator = self.device, torch.Generator(self.device).manual_seed(self.config.seed)
         sure = self.confidence.mean()
         parts = torch.arange(len(held_out), device=device).split(80)
         self.looked_at["falls"] = [self._drawn(held_out, p, sure.expand(len(p)), generator) for p in parts]
         if validation is not None:
             chosen = torch.arange(len(validation), device=device).split(80)
-            plain = config.model_copy(update={"augment": config.augment.model_copy(update={"true_moments_share": 0.0})})
-            self.looked_at["real"] = [real_batch(validation, part, plain, 1.0, generator) for part in chosen]
+            self.looked_at["real"] = [real_batch(validation, part, 1.0) for part in chosen]
 
     def _drawn(self, falls: Falls, chosen: Tensor, confidence: Tensor, generator: torch.Generator) -> FallBatch:
         return draw_batch(falls, chosen, confidence, config=self.config, camera=self.camera, generator=generator)

@@ -22,9 +22,8 @@ from train.blind import answers, oracle
 from train.blind.answers import likeliest_known
 from train.blind.command import app
 from train.blind.metrics import calibration_error, proportion, reliability
-from train.blind.pooling import pool_scores
 from train.blind.rows import score_doses, share_of
-from train.blind.summary import draw_score, score_json, score_markdown
+from train.blind.summary import draw_score, pool_scores, score_json, score_markdown
 
 
 @pytest.fixture
