@@ -81,12 +81,9 @@ class BackgroundReader:
         """Stop reading: clips under way are finished and dropped."""
         self._stop.set()
         while alive := [thread for thread in self._threads if thread.is_alive()]:
-            self._drop_ready()  # makes room for a thread that waits to hand over its clip
+            while not self._done.empty():  # makes room for a thread that waits to hand over its clip
+                self._done.get_nowait()
             alive[0].join(timeout=0.05)
-
-    def _drop_ready(self) -> None:
-        while not self._done.empty():
-            self._done.get_nowait()
 
     def _next(self) -> ClipSource | None:
         with self._lock:

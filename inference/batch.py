@@ -14,8 +14,7 @@ from inference.background_reader import failure_from
 from inference.gallery import write_gallery
 from inference.predictor import load_predictor
 from inference.preparation import Predictor
-from inference.result_names import assign_names
-from inference.results import ResultsFolder
+from inference.results import ResultsFolder, assign_names
 from inference.run_record import checkpoint_digest, finish_run, start_run
 from inference.settings import BatchOptions, StatedConditions
 from inference.sources import ClipSource, Found, displayed_path, find_sources, fingerprint
@@ -118,7 +117,13 @@ def predict_batch(
         for result in stream_results(batch.to_do, settings, predictor, options, picture=True):
             batch.add(result)
         rows = folder.finish([item.key for item in found])[: len(found)]
-        summary = batch.summary(rows)
+        summary = BatchSummary(
+            out=folder.path,
+            rows=rows,
+            predicted=batch.predicted,
+            resumed=len(batch.finished),
+            failed=batch.failed,
+        )
         write_gallery(folder.path, rows)
         finish_run(folder.path, record, predicted=summary.predicted, resumed=summary.resumed, failed=summary.failed)
     return summary
@@ -169,16 +174,6 @@ class _Batch:
         else:
             self.predicted += 1
         self._report(row)
-
-    def summary(self, rows: tuple[ResultRow, ...]) -> BatchSummary:
-        """Return the counts with the rows of this run."""
-        return BatchSummary(
-            out=self._folder.path,
-            rows=rows,
-            predicted=self.predicted,
-            resumed=len(self.finished),
-            failed=self.failed,
-        )
 
     def _report(self, row: ResultRow) -> None:
         if self._on_row is not None:

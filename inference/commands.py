@@ -54,17 +54,28 @@ def predict_command(
     # with both cores busy a pass of the tiny network takes 47 ms of processor time per clip, 195 with spinning.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
+    from tqdm import tqdm
+
     from inference.batch import predict_batch
 
-    with _Reporter(out, as_json=as_json, progress=not no_progress and sys.stderr.isatty()) as reporter:
+    shown = not no_progress and sys.stderr.isatty()
+    with tqdm(unit="clip", disable=not shown, file=sys.stderr, dynamic_ncols=True) as bar:
+
+        def report(row: ResultRow) -> None:
+            if problem := row.error or row.truncated:
+                bar.write(f"physconvex predict: {problem}", file=sys.stderr)
+            if as_json:
+                print(json.dumps(_record(row, out), ensure_ascii=False), flush=True)
+            bar.update()
+
         summary = predict_batch(
             paths,
             out=out,
             checkpoint=checkpoint,
             device=device,
             redo=redo,
-            on_start=reporter.start,
-            on_row=reporter.report,
+            on_start=bar.reset,
+            on_row=report,
             **dict(conditions),
             **dict(work),
         )
@@ -77,39 +88,10 @@ def predict_command(
     raise typer.Exit(summary.exit_code)
 
 
-class _Reporter:
-    """Prints the progress of the batch: errors to stderr, JSON lines to stdout, a bar on a terminal."""
-
-    def __init__(self, out: Path, *, as_json: bool, progress: bool) -> None:
-        from tqdm import tqdm
-
-        self._out, self._as_json = out, as_json
-        self._bar = tqdm(unit="clip", disable=not progress, file=sys.stderr, dynamic_ncols=True)
-
-    def __enter__(self) -> _Reporter:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()
-
-    def start(self, total: int) -> None:
-        """Set the number of clips."""
-        self._bar.total = total
-        self._bar.refresh()
-
-    def report(self, row: ResultRow) -> None:
-        """Report one clip."""
-        if problem := row.error or row.truncated:
-            self._bar.write(f"physconvex predict: {problem}", file=sys.stderr)
-        if self._as_json:
-            print(json.dumps(self._record(row), ensure_ascii=False), flush=True)
-        self._bar.update()
-
-    def _record(self, row: ResultRow) -> object:
-        if row.error:
-            return {"path": row.path, "error": row.error}
-        text = (self._out / "clips" / f"{row.name}.json").read_text(encoding="utf-8")
-        return {"error": "", **json.loads(text)}
+def _record(row: ResultRow, out: Path) -> object:
+    if row.error:
+        return {"path": row.path, "error": row.error}
+    return {"error": "", **json.loads((out / "clips" / f"{row.name}.json").read_text(encoding="utf-8"))}
 
 
 def _print_summary(summary: BatchSummary) -> None:

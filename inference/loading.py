@@ -80,7 +80,7 @@ def resolve_conditions(loaded: LoadedClip, settings: StatedConditions) -> Condit
 
 def retimed(loaded: LoadedClip, fps: float) -> LoadedClip:
     """Return the clip played at `fps`: its timestamps are stretched, their unevenness kept."""
-    if loaded.timestamps is None or loaded.fps is None or loaded.fps == fps:
+    if loaded.timestamps is None or loaded.fps is None:
         return replace(loaded, fps=fps)
     return replace(loaded, fps=fps, timestamps=loaded.timestamps * (loaded.fps / fps))
 

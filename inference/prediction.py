@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from os import PathLike
 from typing import Protocol, runtime_checkable
 
@@ -123,26 +123,9 @@ class Prediction:
 
     def to_record(self) -> dict[str, object]:
         """Return everything but the skinning field as JSON-ready values (for files and lines)."""
-        return {
-            "schema": PREDICTION_SCHEMA,
-            "path": self.path,
-            "youngs_modulus": self.youngs_modulus,
-            "poisson_ratio": self.poisson_ratio,
-            "log10_youngs_modulus_std": self.log10_youngs_modulus_std,
-            "poisson_ratio_std": self.poisson_ratio_std,
-            "youngs_modulus_interval": list(self.youngs_modulus_interval),
-            "poisson_ratio_interval": list(self.poisson_ratio_interval),
-            "fps": self.fps,
-            "density": self.density,
-            "object_size": self.object_size,
-            "assumed": list(self.assumed),
-            "foreground": self.foreground,
-            "foreground_confidence": self.foreground_confidence,
-            "frames_used": self.frames_used,
-            "warnings": list(self.warnings),
-            "truncated": self.truncated,
-            "units": PREDICTION_UNITS,
-        }
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("skinning_field", "silhouette")}
+        lists = {name: list(value) for name, value in values.items() if isinstance(value, tuple)}
+        return {"schema": PREDICTION_SCHEMA} | values | lists | {"units": PREDICTION_UNITS}
 
     def to_json(self, *, indent: int | None = None) -> str:
         """Return the prediction as JSON text with its units (the skinning field is saved apart)."""

@@ -91,12 +91,12 @@ def to_prediction(ready: ReadyClip, estimate: Estimated) -> Prediction:
     warnings = dict.fromkeys((*ready.warnings, *prepared.warnings, *estimate.warnings))
     return Prediction(
         path=None if ready.source is None else displayed_path(ready.source.path),
-        youngs_modulus=float(estimate.youngs_modulus),
-        poisson_ratio=float(estimate.poisson_ratio),
-        log10_youngs_modulus_std=float(estimate.log10_youngs_modulus_std),
-        poisson_ratio_std=float(estimate.poisson_ratio_std),
-        youngs_modulus_interval=_pair(estimate.youngs_modulus_interval),
-        poisson_ratio_interval=_pair(estimate.poisson_ratio_interval),
+        youngs_modulus=estimate.youngs_modulus,
+        poisson_ratio=estimate.poisson_ratio,
+        log10_youngs_modulus_std=estimate.log10_youngs_modulus_std,
+        poisson_ratio_std=estimate.poisson_ratio_std,
+        youngs_modulus_interval=estimate.youngs_modulus_interval,
+        poisson_ratio_interval=estimate.poisson_ratio_interval,
         skinning_field=estimate.skinning_field,
         fps=ready.conditions.fps,
         density=ready.conditions.density,
@@ -109,8 +109,3 @@ def to_prediction(ready: ReadyClip, estimate: Estimated) -> Prediction:
         truncated=ready.truncated,
         silhouette=prepared.mask[0],
     )
-
-
-def _pair(interval: tuple[float, float]) -> tuple[float, float]:
-    low, high = interval
-    return float(low), float(high)

@@ -46,15 +46,9 @@ from physconvex.render import film, orbit
 
 _LOG = logging.getLogger("physconvex")
 
-STATE, RESULT, FIELD, HULLS, FILM = (
-    "state.safetensors",
-    "reconstruction.json",
-    "field.ply",
-    "hulls.glb",
-    "turntable.mp4",
-)
+STATE, RESULT = "state.safetensors", "reconstruction.json"
+FIELD, HULLS, FILM = "field.ply", "hulls.glb", "turntable.mp4"
 _STORE_EVERY = 20.0  # seconds
-_SHOWN_SCORES = ("psnr", "psnr_object", "ssim")
 _DIFFERENCE_GAIN = 4.0
 _FILM_FRAMES, _FILM_RATE = 48, 24.0
 
@@ -111,9 +105,8 @@ class Reconstruction:
         rows = [("convexes", f"{len(self.field)}, from the {self.start}"), ("seconds", f"{self.seconds:.0f}")]
         for name, scores in (("fitted", self.training), ("held out", self.held_out)):
             if scores:
-                psnr, inside, ssim = (float(np.mean([getattr(s, of) for s in scores])) for of in _SHOWN_SCORES)
-                text = f"PSNR {psnr:.2f} dB ({inside:.2f} dB on the object), SSIM {ssim:.4f}"
-                rows.append((f"{name} ({len(scores)} views)", text))
+                text = "PSNR {psnr:.2f} dB ({psnr_object:.2f} dB on the object), SSIM {ssim:.4f}"
+                rows.append((f"{name} ({len(scores)} views)", text.format(**_table(scores)["mean"])))
         (image,) = film([self.field], orbit(self.field, 1))
         pictures = [Picture(png_bytes(image), "the field from one side")]
         return html_summary("Reconstruction", rows, pictures=pictures)

@@ -54,10 +54,9 @@ def reconstruct_command(
 
 
 def _print(result: Reconstruction, out: Path) -> None:
-    rows = {"training": result.training, "held out": result.held_out}
+    record = result.to_json()
     print(f"{out}: {len(result.field)} convexes from the {result.start}, {result.seconds:.0f} s")
-    for name, scores in rows.items():
-        if scores:
-            count = len(scores)
-            psnr, inside, ssim = (sum(getattr(s, of) for s in scores) / count for of in ("psnr", "psnr_object", "ssim"))
-            print(f"  {name} ({count} views): PSNR {psnr:.2f} dB ({inside:.2f} on the object), SSIM {ssim:.4f}")
+    for name, scores in (("training", record["training"]), ("held out", record["held_out"])):
+        if scores["views"]:
+            text = "PSNR {psnr:.2f} dB ({psnr_object:.2f} on the object), SSIM {ssim:.4f}".format(**scores["mean"])
+            print(f"  {name} ({len(scores['views'])} views): {text}")

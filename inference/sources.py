@@ -20,31 +20,29 @@ _NUMBERED = re.compile(r"\d$")
 
 
 @dataclass(frozen=True)
-class ClipSource:
-    """One clip to read: a video file, a capture folder or a folder of numbered images."""
-
+class _Place:
     path: Path
-    kind: SourceKind
-    title: str
-    """Path relative to the folder it was found in, without extension; the stem of result names."""
 
     @property
     def key(self) -> str:
-        """Identity of the clip between runs: its absolute path (symbolic links kept)."""
+        """Identity between runs: the absolute path (symbolic links kept)."""
         return displayed_path(os.path.abspath(self.path))
 
 
 @dataclass(frozen=True)
-class SourceProblem:
+class ClipSource(_Place):
+    """One clip to read: a video file, a capture folder or a folder of numbered images."""
+
+    kind: SourceKind
+    title: str
+    """Path relative to the folder it was found in, without extension; the stem of result names."""
+
+
+@dataclass(frozen=True)
+class SourceProblem(_Place):
     """A path below which nothing can be read, and why."""
 
-    path: Path
     cause: str
-
-    @property
-    def key(self) -> str:
-        """Identity of the problem between runs: the absolute path."""
-        return displayed_path(os.path.abspath(self.path))
 
 
 Found = ClipSource | SourceProblem
@@ -92,12 +90,10 @@ def source_at(path: str | os.PathLike[str]) -> Found:
 
 def _found_at(path: Path, excluded: set[str]) -> Iterator[Found]:
     problem = _unreadable(path)
-    if problem is not None:
-        yield problem
-    elif path.is_dir():
+    if problem is None and path.is_dir():
         yield from _walk(path, excluded)
     else:
-        yield ClipSource(path, "video", path.stem)
+        yield problem or ClipSource(path, "video", path.stem)
 
 
 def _unreadable(path: Path) -> SourceProblem | None:

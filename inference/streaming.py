@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import os
+import queue
+import threading
 from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from typing import TypeVar
 
 from inference.background_reader import BackgroundReader, Failure, Reader, failure_from
 from inference.pictures import ClipPictures
 from inference.prediction import Prediction
 from inference.predictor import load_predictor
 from inference.preparation import Predictor, ReadyClip, ready_source, to_prediction
-from inference.read_ahead import read_ahead
 from inference.reading_process import WorkerReader
 from inference.settings import BatchOptions, StatedConditions
 from inference.sources import ClipSource, Found, SourceProblem, displayed_path, find_sources
@@ -20,6 +23,7 @@ from inference.weight_pictures import weight_maps
 
 _LEAST_CLIPS_FOR_PROCESSES = 4  # below it, starting processes takes longer than reading
 
+Item = TypeVar("Item")
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
 
@@ -144,3 +148,46 @@ def _pictures(clip: ReadyClip, prediction: Prediction) -> ClipPictures:
 def as_list(paths: Paths) -> list[str | os.PathLike[str]]:
     """Return one path or several as a list."""
     return [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+
+
+class _End:
+    """Ends the queue; carries the exception of the iterator, if any."""
+
+    def __init__(self, error: BaseException | None) -> None:
+        self.error = error
+
+
+def read_ahead(items: Generator[Item, None, None], *, depth: int) -> Iterator[Item]:
+    """Yield the same items in the same order, computed in a thread at most `depth` items ahead.
+
+    Exceptions of the generator are raised here. An early exit closes the generator, in its thread.
+    """
+    ready: queue.Queue[Item | _End] = queue.Queue(maxsize=depth)
+    stop = threading.Event()
+
+    def work() -> None:
+        error: BaseException | None = None
+        try:
+            for item in items:
+                ready.put(item)
+                if stop.is_set():
+                    break
+        except BaseException as problem:  # handed to the consumer, who raises it
+            error = problem
+        finally:
+            items.close()
+            ready.put(_End(error))
+
+    thread = threading.Thread(target=work, name="clip-network", daemon=True)
+    thread.start()
+    try:
+        while not isinstance(item := ready.get(), _End):
+            yield item
+        if item.error is not None:
+            raise item.error
+    finally:
+        stop.set()
+        while thread.is_alive():
+            with suppress(queue.Empty):
+                ready.get(timeout=0.02)
+        thread.join()

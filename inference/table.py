@@ -41,34 +41,19 @@ class ResultRow:
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> ResultRow:
-        """Build a row from JSON values; columns of other versions are dropped."""
+        """Build a row from values by name; those of other names are dropped, such as columns of other versions."""
         known = {field.name for field in fields(cls)}
         return cls(**{key: value for key, value in values.items() if key in known})
 
 
 def row_of_prediction(name: str, prediction: Prediction) -> ResultRow:
     """Return the row of a prediction."""
-    return ResultRow(
-        path=prediction.path or "",
-        youngs_modulus=prediction.youngs_modulus,
-        poisson_ratio=prediction.poisson_ratio,
-        log10_youngs_modulus_std=prediction.log10_youngs_modulus_std,
-        poisson_ratio_std=prediction.poisson_ratio_std,
-        youngs_modulus_low=prediction.youngs_modulus_interval[0],
-        youngs_modulus_high=prediction.youngs_modulus_interval[1],
-        poisson_ratio_low=prediction.poisson_ratio_interval[0],
-        poisson_ratio_high=prediction.poisson_ratio_interval[1],
-        fps=prediction.fps,
-        density=prediction.density,
-        object_size=prediction.object_size,
-        foreground=prediction.foreground,
-        foreground_confidence=prediction.foreground_confidence,
-        frames_used=prediction.frames_used,
-        assumed="; ".join(prediction.assumed),
-        warnings="; ".join(prediction.warnings),
-        name=name,
-        truncated=prediction.truncated,
-    )
+    values: dict[str, Any] = vars(prediction) | {"name": name, "path": prediction.path or ""}
+    for of in ("youngs_modulus", "poisson_ratio"):
+        values[f"{of}_low"], values[f"{of}_high"] = values[f"{of}_interval"]
+    for of in ("assumed", "warnings"):
+        values[of] = "; ".join(values[of])
+    return ResultRow.from_values(values)
 
 
 def row_of_error(name: str, path: str, error: str) -> ResultRow:

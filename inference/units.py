@@ -18,12 +18,8 @@ def format_pascals_range(low: float, high: float) -> str:
     """
     scale, unit = _scale(high)
     if low < 0.1 * scale:
-        return "–".join(f"{_digits(value / own, 2)} {name}" for value, (own, name) in _each(low, high))
+        return "–".join(f"{_digits(value / own, 2)} {name}" for value in (low, high) for own, name in [_scale(value)])
     return f"{_digits(low / scale, 2)}–{_digits(high / scale, 2)} {unit}"
-
-
-def _each(*values: float) -> list[tuple[float, tuple[float, str]]]:
-    return [(value, _scale(value)) for value in values]
 
 
 def _scale(value: float) -> tuple[float, str]:

@@ -12,7 +12,7 @@ from inference import format_pascals, format_pascals_range, frame_strip, weight_
 from inference.gallery import write_gallery
 from inference.loading import load_array
 from inference.pictures import shown_source_frames
-from inference.read_ahead import read_ahead
+from inference.streaming import read_ahead
 from inference.table import ResultRow
 from models import ClipConfig, prepare_clip
 from tests.inference.conftest import falling_ball

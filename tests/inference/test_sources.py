@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from inference import ClipSource, find_sources
-from inference.result_names import assign_names
+from inference.results import assign_names
 from inference.sources import SourceProblem, fingerprint, source_at
 
 
