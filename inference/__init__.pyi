@@ -1,6 +1,6 @@
 from .batch import BatchSummary as BatchSummary, predict_batch as predict_batch
 from .loading import load_clip as load_clip
-from .pictures import ClipPictures as ClipPictures, frame_strip as frame_strip
+from .pictures import ClipPictures as ClipPictures, frame_strip as frame_strip, weight_maps as weight_maps
 from .prediction import Prediction as Prediction
 from .predictor import predict as predict
 from .preparation import ready_source as ready_source, to_prediction as to_prediction
@@ -22,4 +22,3 @@ from .settings import ReconstructOptions as ReconstructOptions, StatedConditions
 from .sources import ClipSource as ClipSource, find_sources as find_sources
 from .streaming import ClipResult as ClipResult, iter_predictions as iter_predictions
 from .units import format_pascals as format_pascals, format_pascals_range as format_pascals_range
-from .weight_pictures import weight_maps as weight_maps

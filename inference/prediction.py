@@ -103,7 +103,7 @@ class Prediction:
 
     def _repr_html_(self) -> str:
         """Numbers with their 90 % intervals and a section through the skinning weights, for a notebook."""
-        from inference.weight_pictures import weight_maps  # loads OpenCV
+        from inference.pictures import weight_maps  # loads OpenCV
 
         low, high = self.poisson_ratio_interval
         rows = [

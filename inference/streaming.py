@@ -12,14 +12,13 @@ from functools import partial
 from typing import TypeVar
 
 from inference.background_reader import BackgroundReader, Failure, Reader, failure_from
-from inference.pictures import ClipPictures
+from inference.pictures import ClipPictures, weight_maps
 from inference.prediction import Prediction
 from inference.predictor import load_predictor
 from inference.preparation import Predictor, ReadyClip, ready_source, to_prediction
 from inference.reading_process import WorkerReader
 from inference.settings import BatchOptions, StatedConditions
 from inference.sources import ClipSource, Found, SourceProblem, displayed_path, find_sources
-from inference.weight_pictures import weight_maps
 
 _LEAST_CLIPS_FOR_PROCESSES = 4  # below it, starting processes takes longer than reading
 

@@ -1,4 +1,3 @@
-from .background import plain_background_masks as plain_background_masks
 from .calibration import (
     Calibration as Calibration,
     DensityCalibration as DensityCalibration,
@@ -30,7 +29,11 @@ from .estimator import (
     PhysicsPredictor as PhysicsPredictor,
     collate_clips as collate_clips,
 )
-from .foreground import locate_foreground as locate_foreground, moving_window as moving_window
+from .foreground import (
+    locate_foreground as locate_foreground,
+    moving_window as moving_window,
+    plain_background_masks as plain_background_masks,
+)
 from .heads import BinnedDensity as BinnedDensity, DensityHead as DensityHead
 from .kinematics import SilhouetteFeatures as SilhouetteFeatures, differences as differences
 from .mirror import (

@@ -7,10 +7,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
-from models.appearance import sort_pictures
-from models.background import plain_background_masks
+from models.appearance import colour_planes, difference, sort_pictures
 from models.downscaling import shrink
-from models.shapes import clean_mask, link_masks
 from models.stabilisation import stabilise
 from physconvex import InputError
 
@@ -22,6 +20,7 @@ _LEAST_CONFIDENCE = 0.2  # below it the whole frame is used
 _PLAIN_CONFIDENCE = 0.6  # a difference from a plain background may be something else
 _OBJECT_SHARE = (0.001, 0.7)  # of the picture that an object may cover
 _LEAST_CONTRAST = 7.0  # of 255
+_PLAIN_CONTRAST = 14.0  # of 255
 _LEAST_MOVED, _MOST_MOVED = 0.002, 0.6  # share of the picture that a moving object may change
 _MARGIN = 8  # [px]
 
@@ -133,6 +132,35 @@ def _plain_silhouette(frames: UInt8[np.ndarray, "T H W 3"]) -> _Silhouette | Non
     return None if masks is None else _Silhouette(masks * np.uint8(255), _PLAIN_CONFIDENCE * _steadiness(masks))
 
 
+def plain_background_masks(frames: UInt8[np.ndarray, "T H W 3"]) -> Bool[np.ndarray, "T H W"] | None:
+    """The difference from a smooth colour field.
+
+    The field is fitted to the picture's border; None if the border is not plain.
+    """
+    planes = colour_planes(frames)
+    height, width = planes.shape[2:]
+    border = np.ones((height, width), bool)
+    rim = max(2, min(height, width) // 16)
+    border[rim:-rim, rim:-rim] = False
+    image = np.median(planes[:, :: max(1, len(frames) // 5)], axis=1)
+    fitted = _smooth_field(image, border)
+    residual = difference(image, fitted)
+    threshold = max(_PLAIN_CONTRAST, 3.0 * float(np.quantile(residual[border], 0.8)))
+    if threshold > 60:
+        return None
+    masks = [clean_mask(difference(planes[:, k], fitted) > threshold) for k in range(len(frames))]
+    return link_masks(np.stack(masks), np.ones(masks[0].shape, np.float32))
+
+
+def _smooth_field(image: Float32[np.ndarray, "3 H W"], border: Bool[np.ndarray, "H W"]) -> Float32[np.ndarray, "3 H W"]:
+    """Second-order polynomial of the position through the border's colours."""
+    height, width = border.shape
+    y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
+    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    coefficients, *_ = np.linalg.lstsq(basis[border], image[:, border].T, rcond=None)
+    return np.moveaxis(basis @ coefficients, -1, 0).astype(np.float32)
+
+
 def _steadiness(mask: Bool[np.ndarray, "T H W"]) -> float:
     """Share of frames in which the area is close to the usual one; 0 if that is an implausible size."""
     areas = mask.reshape(len(mask), -1).mean(axis=1)
@@ -168,3 +196,36 @@ def _enlarged(coverage: UInt8[np.ndarray, "T h w"], size: tuple[int, int]) -> Bo
     """Above one half after linear interpolation."""
     height, width = size
     return np.stack([cv2.resize(c, (width, height), interpolation=cv2.INTER_LINEAR) > 127 for c in coverage])
+
+
+def clean_mask(mask: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
+    """Open, close and fill holes."""
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, cross)
+    closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    outlines, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    return cv2.drawContours(np.zeros_like(closed), outlines, -1, 1, cv2.FILLED) > 0
+
+
+def link_masks(masks: Bool[np.ndarray, "T H W"], weight: Float32[np.ndarray, "H W"]) -> Bool[np.ndarray, "T H W"]:
+    """Keep in each frame the component that continues its neighbour's, outward from the heaviest.
+
+    A component weighs what `weight` sums to inside it.
+    """
+    parts = [cv2.connectedComponents(mask.astype(np.uint8), connectivity=8) for mask in masks]
+    weights = [np.bincount(labels.ravel(), weight.ravel(), minlength=2)[1:] for _, labels in parts]
+    start = int(np.argmax([heavy.max() for heavy in weights]))
+    out = np.zeros_like(masks)
+    for order in (range(start, len(masks)), range(start - 1, -1, -1)):
+        previous = out[start] if order.step < 0 else None
+        for k in order:
+            count, labels = parts[k]
+            if count < 2:
+                continue
+            merit = weights[k]
+            if previous is not None:
+                near = cv2.dilate(previous.view(np.uint8), np.ones((9, 9), np.uint8)) > 0
+                merit = np.bincount(labels[near], weight[near], minlength=count)[1:] + 0.2 * merit
+            out[k] = labels == 1 + int(merit.argmax())
+            previous = out[k]
+    return out
