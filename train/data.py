@@ -6,7 +6,7 @@ The clips of each step are a function of the seed, so that a run can continue at
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal, TypeVar
@@ -96,11 +96,11 @@ class TrainingClips(Dataset[_Example]):
 
     def _subsampled(self, samples: ClipSamples, generator: np.random.Generator) -> ClipSamples:
         chosen = np.sort(generator.permutation(len(samples.points))[:_POINTS])
-        return ClipSamples(
+        return replace(
+            samples,
             points=samples.points[chosen],
             volume_weights=samples.volume_weights[chosen],
             displacements=samples.displacements[:, chosen],
-            height=samples.height,
             modes=samples.modes[chosen, : self._modes],
             importance=samples.importance[: self._modes],
         )

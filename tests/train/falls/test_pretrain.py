@@ -15,7 +15,7 @@ from data_gen.explicit.generate import save_bodies
 from models import PhysicsNetwork, PhysicsPredictor
 from physconvex import InputError
 from train import Pretraining, RealClips, TrainingClips, prepare_clips, pretrain, read_clips, train_on_falls
-from train.falls.skinning import HeadTraining, fit_skinning_head
+from train.falls.run import HeadTraining, fit_skinning_head
 
 PLAN = Pretraining(steps=24, drawn=4, real=4, report_steps=6)
 
