@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
+from reduced_speed import milliseconds, seconds
 
 from physconvex.dynamics import ContactSolver, Plane, State, Timing, implicit_euler, simulate
 from physconvex.fem import ElasticBody, NodalEquations, Scene
@@ -50,16 +49,6 @@ class Row:
     condensed: float
 
 
-def milliseconds(call: Callable[[], object], repeats: int = 20) -> float:
-    """Processor time of one call, the median."""
-    spent = []
-    for _ in range(repeats):
-        clock = time.process_time()
-        call()
-        spent.append(time.process_time() - clock)
-    return 1e3 * float(np.median(spent))
-
-
 def measure(cells: int, damping_time: float, arithmetic: str) -> Row:
     """One mesh, with one arithmetic."""
     fast = arithmetic != "plain"
@@ -74,17 +63,16 @@ def measure(cells: int, damping_time: float, arithmetic: str) -> Row:
     force = equations.gradient(x)
 
     def rolled_out(solver: ContactSolver) -> float:
-        clock = time.process_time()
-        simulate(scene, Timing(frames=12, fps=50, steps_per_frame=8, contact_solver=solver))
-        return time.process_time() - clock
+        timing = Timing(frames=12, fps=50, steps_per_frame=8, contact_solver=solver)
+        return seconds(lambda: simulate(scene, timing))
 
     return Row(
         len(x),
         damping_time,
         arithmetic,
         factorise=milliseconds(lambda: equations.factorise(x, project=False), 6),
-        evaluate=milliseconds(lambda: equations.evaluate(x)),
-        solve=milliseconds(lambda: equations.solve(force)),
+        evaluate=milliseconds(lambda: equations.evaluate(x), 20),
+        solve=milliseconds(lambda: equations.solve(force), 20),
         passes=rolled_out("passes"),
         condensed=rolled_out("condensed"),
     )
