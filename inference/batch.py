@@ -6,20 +6,27 @@ import hashlib
 import json
 import logging
 import os
-from collections.abc import Callable, Sequence
+import platform
+import shlex
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
+
+import torch
+from pydantic import JsonValue
 
 from inference.background_reader import failure_from
 from inference.gallery import write_gallery
 from inference.predictor import load_predictor
 from inference.preparation import Predictor
 from inference.results import ResultsFolder, assign_names
-from inference.run_record import checkpoint_digest, finish_run, start_run
 from inference.settings import BatchOptions, StatedConditions
 from inference.sources import ClipSource, Found, displayed_path, find_sources, fingerprint
 from inference.streaming import ClipResult, Paths, as_list, stream_results
 from inference.table import ResultRow
+from physconvex import __version__
 
 _LOG = logging.getLogger("physconvex")
 
@@ -95,7 +102,7 @@ def predict_batch(
         predictor = load_predictor(os.fspath(checkpoint), device)
     digest = _settings_digest(settings, predictor)
     with ResultsFolder(out, settings=digest) as folder:
-        record = start_run(
+        record = _start_run(
             folder.path,
             command=command,
             configuration={
@@ -104,7 +111,7 @@ def predict_batch(
                 **dict(options),
                 "readers": options.readers,
                 "checkpoint": displayed_path(checkpoint),
-                "checkpoint_digest": checkpoint_digest(predictor),
+                "checkpoint_digest": _checkpoint_digest(predictor),
                 "device": device,
                 "redo": redo,
             },
@@ -125,7 +132,7 @@ def predict_batch(
             failed=batch.failed,
         )
         write_gallery(folder.path, rows)
-        finish_run(folder.path, record, predicted=summary.predicted, resumed=summary.resumed, failed=summary.failed)
+        _finish_run(folder.path, record, predicted=summary.predicted, resumed=summary.resumed, failed=summary.failed)
     return summary
 
 
@@ -188,5 +195,59 @@ def _fingerprint_or_empty(source: ClipSource) -> str:
 
 
 def _settings_digest(settings: StatedConditions, predictor: Predictor) -> str:
-    text = json.dumps([dict(settings), checkpoint_digest(predictor)], sort_keys=True)
+    text = json.dumps([dict(settings), _checkpoint_digest(predictor)], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _start_run(out: Path, *, command: Sequence[str] | None, configuration: Mapping[str, JsonValue]) -> int:
+    """Add a run to `run.json` and return its number (a resumed batch has several runs)."""
+    runs = _read_runs(out)
+    runs.append(
+        {
+            "command": shlex.join(sys.argv if command is None else command),
+            "started": _now(),
+            "finished": None,
+            "physconvex": __version__,
+            "python": platform.python_version(),
+            "torch": torch.__version__,
+            "platform": platform.platform(),
+            "configuration": dict(configuration),
+        }
+    )
+    _write_runs(out, runs)
+    return len(runs) - 1
+
+
+def _finish_run(out: Path, number: int, **counts: int) -> None:
+    """Record the end of a run and its counts; a killed run keeps `finished: null`."""
+    runs = _read_runs(out)
+    runs[number] |= {"finished": _now(), **counts}
+    _write_runs(out, runs)
+
+
+def _checkpoint_digest(predictor: Predictor) -> str:
+    """Return a digest of a predictor's weights and configuration: results of another checkpoint are never reused."""
+    digest = hashlib.sha256(repr(predictor.config).encode())
+    for key, tensor in sorted(predictor.network.state_dict().items()):
+        digest.update(key.encode())
+        digest.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()[:16]
+
+
+def _read_runs(out: Path) -> list[dict[str, JsonValue]]:
+    try:
+        runs = json.loads((out / "run.json").read_text(encoding="utf-8"))["runs"]
+    except (FileNotFoundError, ValueError, KeyError):
+        return []
+    return list(runs)
+
+
+def _write_runs(out: Path, runs: list[dict[str, JsonValue]]) -> None:
+    temporary = out / ".partial-run.json"
+    text = json.dumps({"schema": "physconvex/runs/1", "runs": runs}, indent=1, ensure_ascii=False)
+    temporary.write_text(text + "\n", encoding="utf-8")
+    os.replace(temporary, out / "run.json")
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -179,16 +179,8 @@ def reconstruct(
     state = _fit_and_store(state.to(place), views, config, folder=folder, claim=claim, on_step=on_step)
     field = _closed(state, body_surface(kind, views.training, mesh), config)
     trained, tested = (score_views(field.to(place), part) for part in (views.training, views.held_out))
-    result = Reconstruction(
-        field,
-        tuple(one for one, _ in trained),
-        tuple(one for one, _ in tested),
-        kind,
-        views.silhouettes,
-        state.seconds,
-        config,
-        folder,
-    )
+    training, held_out = (tuple(one for one, _ in part) for part in (trained, tested))
+    result = Reconstruction(field, training, held_out, kind, views.silhouettes, state.seconds, config, folder)
     _LOG.info("reconstruct: %d convexes from the %s in %.0f s", len(field), kind, state.seconds)
     if folder is not None:
         pictures = [image for _, image in (*trained, *tested)]

@@ -45,7 +45,7 @@ from physconvex.identify import (
     roll_out_together,
     with_free_friction,
 )
-from physconvex.io import Capture, Workers, load_capture
+from physconvex.io import Workers, load_capture
 from physconvex.numerics import device_named
 from physconvex.reduced import parameter_values
 
@@ -89,14 +89,10 @@ def refine(
         options = options.replace(initial={**start, **options.initial})
     capture = load_capture(Path(path))
     selected(capture, options)  # what is missing is told before the work begins
-    stages = Stages(None if out is None else Path(out), _key(capture, options), on_stage)
+    settings = {name: value for name, value in options.to_json().items() if name not in _WHERE}
+    stages = Stages(None if out is None else Path(out), key_of(capture.folder, settings), on_stage)
     with Workers(options.processes) as workers:
         return _refined(RefinementRun(capture, options, stages, workers))
-
-
-def _key(capture: Capture, options: RefineOptions) -> str:
-    settings = {name: value for name, value in options.to_json().items() if name not in _WHERE}
-    return key_of(capture.folder, settings)
 
 
 def _refined(run: RefinementRun) -> Refinement:
@@ -142,14 +138,9 @@ def _refined(run: RefinementRun) -> Refinement:
     not_followed = _not_followed(rms)
     run.warnings += [*not_followed, *(() if drift is None else drift.sentences())]
     estimates = fitted_parameters(
-        found,
-        told.left,
-        known,
-        problem.seen.frames,
-        seen.residual_slices,
-        stated=seen.stated,
-        followed=not not_followed,
-    )
+        found, told.left, known, problem.seen.frames, seen.residual_slices,
+        stated=seen.stated, followed=not not_followed,
+    )  # fmt: skip
     return Refinement(
         path=str(run.capture.folder),
         estimates=estimates,

@@ -86,13 +86,7 @@ class Problem:
     def full(self, memory: RollOuts) -> FullModel:
         """The full model of the observed points."""
         return FullModel(
-            self.twin,
-            self.names,
-            self.seen.points,
-            self.frames,
-            mesh=self.mesh,
-            surface=self.surface,
-            memory=memory,
+            self.twin, self.names, self.seen.points, self.frames, mesh=self.mesh, surface=self.surface, memory=memory
         )
 
     @property

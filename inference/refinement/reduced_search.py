@@ -99,13 +99,9 @@ class ReducedSearch:
         frames = problem.windows[0]
         cheap = replace(problem, twin=self._cheap(problem)).first(frames)
         found = scan(
-            cheap.reduced(),
-            cheap.seen,
-            problem.parameters,
-            moduli=where.moduli,
-            ratios=where.ratios,
-            workers=self.run.workers,
-        )
+            cheap.reduced(), cheap.seen, problem.parameters,
+            moduli=where.moduli, ratios=where.ratios, workers=self.run.workers,
+        )  # fmt: skip
         return arrays_of_scan(found, within=where.predicted)
 
     def _best(self, problem: Problem, starts: Scanned) -> Fit:

@@ -142,9 +142,5 @@ def followed_motion(problem: Problem, motion: RefinedMotion) -> RefinedMotion:
     def carried(others: np.ndarray) -> np.ndarray:
         return seen.carried(points, others) if others.shape[1] else others
 
-    return replace(
-        motion,
-        nodes=carried(motion.nodes),
-        vertices=carried(motion.vertices),
-        markers=carried(motion.markers),
-    )
+    nodes, vertices, markers = map(carried, (motion.nodes, motion.vertices, motion.markers))
+    return replace(motion, nodes=nodes, vertices=vertices, markers=markers)
