@@ -18,12 +18,12 @@ COVERAGE = 0.9
 
 
 class DensityCalibration(FrozenConfig):
-    """How to read one head's logits."""
+    """Calibration of the logits of one head."""
 
     temperature: float = Field(default=1.0, gt=0)
-    """The logits are divided by it."""
+    """Divisor of the logits."""
     central_level: float = Field(default=COVERAGE, gt=0, le=1)
-    """Nominal probability of the central interval that holds 90 % of the validation values."""
+    """Nominal probability of the central interval that contains 90 % of the validation values."""
 
     def density(self, logits: Float[Tensor, "B K"], config: BinConfig) -> BinnedDensity:
         """The calibrated density."""
@@ -41,7 +41,7 @@ class Calibration(FrozenConfig):
     stiffness: DensityCalibration = DensityCalibration()
     poisson: DensityCalibration = DensityCalibration()
     clips: int = 0
-    """Validation clips it rests on; 0 = uncalibrated."""
+    """Number of validation clips; 0: uncalibrated."""
 
 
 _TEMPERATURES = torch.logspace(math.log10(0.4), math.log10(4.0), 61).tolist()

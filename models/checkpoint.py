@@ -23,24 +23,24 @@ class TrainingRange(FrozenConfig):
     """Range of the training clips; outside it, predictions carry a warning."""
 
     log10_stiffness: tuple[float, float] = (-0.2, 3.4)
-    """Of log10(E / (ρ g L))."""
+    """Range of log10(E / (ρ g L))."""
     poisson_ratio: tuple[float, float] = (0.2, 0.49)
     interval: tuple[float, float] = (0.1, 0.2)
-    """Of Δt √(g/L)."""
+    """Range of Δt √(g/L)."""
 
 
 class PredictorConfig(FrozenConfig):
-    """All of a checkpoint but its tensors."""
+    """Content of a checkpoint except its tensors."""
 
     format: str = _FORMAT
     version: str = "0"
-    """Of physconvex, when it was written."""
+    """Version of physconvex that wrote it."""
     network: NetworkConfig = NetworkConfig()
     clip: ClipConfig = ClipConfig()
     calibration: Calibration = Calibration()
     training_range: TrainingRange = TrainingRange()
     metrics: dict[str, float] = Field(default_factory=dict)
-    """On validation data, after calibration."""
+    """Metrics on validation data, after calibration."""
 
     @classmethod
     def for_network(cls, network: NetworkConfig, **options: object) -> PredictorConfig:

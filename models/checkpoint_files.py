@@ -42,9 +42,9 @@ class FinderConfig(FrozenConfig):
     """Common part of the configurations of the finder's two networks."""
 
     version: str = "0"
-    """Of physconvex, when it was written."""
+    """Version of physconvex that wrote it."""
     metrics: dict[str, float] = Field(default_factory=dict)
-    """On validation data."""
+    """Metrics on validation data."""
 
 
 def load_finder_network(

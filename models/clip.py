@@ -22,19 +22,19 @@ _THUMBNAIL = 64  # [px]
 
 
 class ClipConfig(Options):
-    """Format of the network's input."""
+    """Format of the input of the network."""
 
     image_size: int = 112
     """Edge of the fixed square in which silhouettes are measured [px]."""
     window: int = 80
     """Edge of the windows that follow the object [px]."""
     extent: float = 1.7
-    """The same in units of the silhouette's first larger edge."""
+    """Edge of these windows, in units of the longer edge of the first silhouette."""
     frames: int = 24
     target_fps: float = 24.0
-    """[1/s]"""
+    """Frame rate to which a clip is resampled [1/s]."""
     margin: float = 0.1
-    """Around the object's path, as a share of its larger edge."""
+    """Margin around the path of the object, relative to its longer edge."""
 
     @model_validator(mode="after")
     def _check(self) -> ClipConfig:
