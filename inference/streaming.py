@@ -11,12 +11,11 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
 
-from inference.background_reader import BackgroundReader, Failure, Reader, failure_from
+from inference.background_reader import BackgroundReader, Failure, Reader, WorkerReader, failure_from
 from inference.pictures import ClipPictures, weight_maps
 from inference.prediction import Prediction
 from inference.predictor import load_predictor
 from inference.preparation import Predictor, ReadyClip, ready_source, to_prediction
-from inference.reading_process import WorkerReader
 from inference.settings import BatchOptions, StatedConditions
 from inference.sources import ClipSource, Found, SourceProblem, displayed_path, find_sources
 
