@@ -34,6 +34,7 @@ from physconvex.reconstruction import (
     ViewScore,
     begin,
     body_surface,
+    closed_surface,
     fill_gaps,
     fit_field,
     load_fit,
@@ -48,6 +49,7 @@ _LOG = logging.getLogger("physconvex")
 
 STATE, RESULT = "state.safetensors", "reconstruction.json"
 FIELD, HULLS, FILM = "field.ply", "hulls.glb", "turntable.mp4"
+BODY, BODY_GLB = "body.ply", "body.glb"
 _STORE_EVERY = 20.0  # seconds
 _DIFFERENCE_GAIN = 4.0
 _FILM_FRAMES, _FILM_RATE = 48, 24.0
@@ -61,6 +63,14 @@ class ScoreTable(TypedDict):
     """The fields of `ViewScore`, one entry a view."""
 
 
+class BodyRecord(TypedDict):
+    """The body's surface: number of vertices, volume [m³], longest edge of its bounding box [m]."""
+
+    vertices: int
+    volume: float
+    size: float
+
+
 class ReconstructionRecord(TypedDict):
     """Content of `reconstruction.json`."""
 
@@ -72,6 +82,7 @@ class ReconstructionRecord(TypedDict):
     start: str
     silhouettes: list[str]
     seconds: float
+    body: BodyRecord | None
     training: ScoreTable
     held_out: ScoreTable
     config: dict[str, JsonValue]
@@ -79,19 +90,21 @@ class ReconstructionRecord(TypedDict):
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """A convex field and its quality in the views.
+    """A convex field with its quality in the views, and the body's surface.
 
     Attributes:
         field: the convexes at rest, world frame.
+        body: closed surface of the body [m], coloured; None if no point in space projects into all silhouettes.
         training, held_out: scores of the fitted views and of the others.
         start: source of the first convexes: mesh, hull or points.
         silhouettes: source of the object's silhouettes.
-        seconds: wall-clock time of the fit [s].
+        seconds: wall-clock time of the fit and of the surface [s].
         config: the settings.
         out: folder of the files, or None.
     """
 
     field: ConvexField
+    body: trimesh.Trimesh | None
     training: tuple[ViewScore, ...]
     held_out: tuple[ViewScore, ...]
     start: str
@@ -120,10 +133,17 @@ class Reconstruction:
             "start": self.start,
             "silhouettes": list(self.silhouettes),
             "seconds": self.seconds,
+            "body": _body_record(self.body),
             "training": _table(self.training),
             "held_out": _table(self.held_out),
             "config": self.config.model_dump(mode="json"),
         }
+
+
+def _body_record(body: trimesh.Trimesh | None) -> BodyRecord | None:
+    if body is None:
+        return None
+    return {"vertices": len(body.vertices), "volume": float(body.volume), "size": float(body.extents.max())}
 
 
 def _table(scores: Sequence[ViewScore]) -> ScoreTable:
@@ -143,10 +163,11 @@ def reconstruct(
     redo: bool = False,
     on_step: Callable[[FitProgress], None] | None = None,
 ) -> Reconstruction:
-    """Fit a convex field to the first frames of a capture.
+    """Fit a convex field to the first frames of a capture, and find the body's closed surface.
 
     With `out` a run can be stopped at any time: the same call continues it, and a finished one is read from its files.
-    Writes field.ply, hulls.glb, reconstruction.json and views/<camera>.png (observed, rendered, difference).
+    Writes field.ply, hulls.glb, body.ply, body.glb, reconstruction.json and views/<camera>.png (observed, rendered,
+    difference).
 
     Args:
         capture: folder with capture.json.
@@ -178,9 +199,10 @@ def reconstruct(
         state = begin(start_field(views.training, config, mesh=mesh, points=given))
     state = _fit_and_store(state.to(place), views, config, folder=folder, claim=claim, on_step=on_step)
     field = _closed(state, body_surface(kind, views.training, mesh), config)
+    body = _body(field, views, state)
     trained, tested = (score_views(field.to(place), part) for part in (views.training, views.held_out))
     training, held_out = (tuple(one for one, _ in part) for part in (trained, tested))
-    result = Reconstruction(field, training, held_out, kind, views.silhouettes, state.seconds, config, folder)
+    result = Reconstruction(field, body, training, held_out, kind, views.silhouettes, state.seconds, config, folder)
     _LOG.info("reconstruct: %d convexes from the %s in %.0f s", len(field), kind, state.seconds)
     if folder is not None:
         pictures = [image for _, image in (*trained, *tested)]
@@ -197,6 +219,18 @@ def _closed(state: FitState, surface: trimesh.Trimesh | None, config: Reconstruc
     field = fill_gaps(field, surface, footprint=state.footprint, most=config.budget - len(field))
     state.seconds += time.perf_counter() - clock
     return field
+
+
+def _body(field: ConvexField, views: CaptureViews, state: FitState) -> trimesh.Trimesh | None:
+    """The closed surface, or None, with a warning, where the silhouettes contradict each other."""
+    clock = time.perf_counter()
+    try:
+        return closed_surface(field, views.training)
+    except InputError as error:
+        _LOG.warning("reconstruct: no surface of the body: %s", error)
+        return None
+    finally:
+        state.seconds += time.perf_counter() - clock
 
 
 def _fit_and_store(
@@ -253,7 +287,7 @@ def _prepared(folder: Path, claim: str, *, redo: bool) -> ReconstructionRecord |
     """
     folder.mkdir(parents=True, exist_ok=True)
     if redo:
-        for name in (STATE, RESULT, FIELD, HULLS, FILM):
+        for name in (STATE, RESULT, FIELD, HULLS, BODY, BODY_GLB, FILM):
             (folder / name).unlink(missing_ok=True)
         shutil.rmtree(folder / "views", ignore_errors=True)
     if not (folder / RESULT).exists():
@@ -276,7 +310,9 @@ def _read(folder: Path, content: ReconstructionRecord, config: ReconstructionCon
     )
     silhouettes = tuple(content["silhouettes"])
     field = read_ply(folder / FIELD)
-    return Reconstruction(field, training, held_out, content["start"], silhouettes, content["seconds"], config, folder)
+    return Reconstruction(
+        field, body, training, held_out, content["start"], silhouettes, content["seconds"], config, folder
+    )
 
 
 def _write(
@@ -292,6 +328,9 @@ def _write(
     """Write all files; the summary last, since it marks the others as complete."""
     write_ply(result.field, folder / FIELD)
     write_glb(result.field, folder / HULLS)
+    if result.body is not None:
+        for name in (BODY, BODY_GLB):
+            result.body.export(folder / name)
     (folder / "views").mkdir(exist_ok=True)
     for seen, picture in zip((*views.training, *views.held_out), pictures, strict=True):
         _write_comparison(folder / "views" / f"{seen.camera.name}.png", seen, picture)

@@ -27,10 +27,10 @@ def reconstruct_command(
     redo: Annotated[bool, typer.Option("--redo", help="Start from scratch; ignore results in the folder.")] = False,
     no_progress: Annotated[bool, typer.Option("--no-progress", help="Hide the progress bar.")] = False,
 ) -> None:
-    """Reconstruct the object in the first frames of several cameras as a convex field.
+    """Reconstruct the object in the first frames of several cameras as a convex field and a closed surface.
 
-    Writes field.ply, hulls.glb, reconstruction.json, comparison images and a film. It can be stopped at any time; the
-    same command resumes.
+    Writes field.ply, hulls.glb, body.ply, body.glb, reconstruction.json, comparison images and a film. It can be
+    stopped at any time; the same command resumes.
     """
     from tqdm import tqdm
 
@@ -56,6 +56,8 @@ def reconstruct_command(
 def _print(result: Reconstruction, out: Path) -> None:
     record = result.to_json()
     print(f"{out}: {len(result.field)} convexes from the {result.start}, {result.seconds:.0f} s")
+    if record["body"] is not None:
+        print(f"  body: {1e6 * record['body']['volume']:.4g} cm³, {1e3 * record['body']['size']:.4g} mm long")
     for name, scores in (("training", record["training"]), ("held out", record["held_out"])):
         if scores["views"]:
             text = "PSNR {psnr:.2f} dB ({psnr_object:.2f} on the object), SSIM {ssim:.4f}".format(**scores["mean"])

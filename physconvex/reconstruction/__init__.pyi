@@ -3,6 +3,7 @@ from .config import (
     ReconstructionConfig as ReconstructionConfig,
     load_reconstruction_config as load_reconstruction_config,
 )
+from .depth_fusion import closed_surface as closed_surface
 from .field_fit import (
     FitProgress as FitProgress,
     FitState as FitState,

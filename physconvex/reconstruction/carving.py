@@ -8,7 +8,7 @@ import numpy as np
 import pyvista as pv
 import trimesh
 from jaxtyping import Float
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 
 from physconvex.errors import InputError
 from physconvex.reconstruction.observation import Observation
@@ -51,6 +51,26 @@ def footprint(observations: Sequence[Observation]) -> float:
     centre, _ = object_box(observations)
     cameras = [seen.camera for seen in observations]
     return float(np.mean([float(c.project(centre)[1]) / np.sqrt(c.fl_x * c.fl_y) for c in cameras]))
+
+
+def hull_distance(observations: Sequence[Observation], positions: Float[np.ndarray, "Q 3"]) -> Float[np.ndarray, " Q"]:
+    """Signed distance [m] of positions from the visual hull, negative inside.
+
+    The greatest, over the views, of the distance in the picture to the silhouette's edge at the position's depth. The
+    edge is where the coverage is one half, between the pixels where that is known.
+    """
+    greatest = np.full(len(positions), -np.inf)
+    for seen in observations:
+        coverage = seen.coverage.numpy()
+        inside = coverage > 0.5
+        pixels = distance_transform_edt(~inside) - distance_transform_edt(inside) + np.where(inside, 0.5, -0.5)
+        mixed = (np.abs(pixels) < 0.75) & (coverage > 0.02) & (coverage < 0.98)
+        edge = np.where(mixed, 0.5 - coverage, pixels)
+        place, depth = seen.camera.project(positions)
+        found = map_coordinates(edge, (place - 0.5).T[::-1], order=1, mode="nearest")
+        away = found * depth / np.sqrt(seen.camera.fl_x * seen.camera.fl_y)
+        greatest = np.maximum(greatest, np.where(depth > 0, away, np.inf))
+    return greatest
 
 
 def visual_hull(observations: Sequence[Observation], *, cells: int = CELLS) -> trimesh.Trimesh:

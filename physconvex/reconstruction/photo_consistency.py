@@ -1,0 +1,194 @@
+"""A surface moved to where the pictures agree, and its colours.
+
+Around each vertex a patch in its tangent plane is moved along the normal. Where the patches of two pictures correlate
+best, the surface is; a smooth displacement follows these places, each as strongly as the pictures tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.sparse as sparse
+import torch
+import trimesh
+from jaxtyping import Bool, Float, Int
+from scipy.sparse.linalg import splu
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from physconvex.io import Camera
+from physconvex.reconstruction.carving import footprint, hull_distance
+from physconvex.reconstruction.observation import Observation
+
+ROUNDS, FIRST_REACH, NARROWER = 4, 3.0, 0.7  # of the search; its first reach [cells], and the factor per round
+STEPS = 6  # offsets on either side
+PATCH = 3  # pixels on either side of a vertex
+VIEWS = 4  # that see a vertex best
+STEEPEST = 0.25  # least cosine between a normal and a ray
+HIDDEN = 2.5  # cells behind the nearest surface
+DARK = 0.01  # standard deviation of colour that is noise
+SHARED = 2  # rounds of averages of the correlation over neighbours
+DEAD = 0.04
+TELLING = 0.2  # excess of the best correlation over the median that tells all
+RIM = 0.3  # cells: a vertex that near to the hull's surface is on a silhouette
+# weights of the displacement: of a full agreement (1), of a silhouette, of the old place where the pictures say nothing
+# and where one or none shows it; of the bending of the whole, and of the membrane where one or none shows it
+CURVED = 0.5  # share of the old curvature that bending keeps
+ON_RIM, UNSURE, UNSEEN, BENDING, MEMBRANE = 0.3, 0.002, 1e-5, 0.05, 0.003
+
+
+def moved_to_agreement(
+    surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float
+) -> trimesh.Trimesh:
+    """The surface with displaced vertices.
+
+    Args:
+        surface: closed, outward oriented [m], with edges of about one cell.
+        cell: its accuracy [m].
+    """
+    for turn in range(ROUNDS):
+        normals, vertices = np.asarray(surface.vertex_normals), np.asarray(surface.vertices)
+        offsets = FIRST_REACH * cell * NARROWER**turn * np.arange(-STEPS, STEPS + 1) / STEPS
+        cosines = _cosines(surface, observations, cell)
+        views = (cosines > 0).sum(axis=1)
+        edges = surface.edges_unique
+        offset, certain = _best_offsets(_correlations(surface, observations, cosines, offsets), offsets, edges)
+        beyond = hull_distance(observations, vertices)
+        rim = (np.abs(beyond) < RIM * cell) & (views > 0)
+        held = np.where(rim, ON_RIM, np.where(views < 2, UNSEEN, UNSURE))
+        kept = vertices - np.maximum(beyond, 0)[:, None] * normals
+        bending, membrane = _smoothness(edges, views < 2)
+        wanted = held[:, None] * kept + certain[:, None] * (vertices + offset[:, None] * normals)
+        wanted += CURVED * bending @ vertices
+        stiffness = sparse.diags(held + certain) + bending + membrane
+        surface = trimesh.Trimesh(splu(stiffness.tocsc()).solve(wanted), surface.faces, process=False)
+    return surface
+
+
+def colours_seen(
+    surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float
+) -> Float[np.ndarray, "V 3"]:
+    """Colour of each vertex, 0 to 1: the mean over the views by the squared cosine; unseen ones by their neighbours."""
+    cosines = _cosines(surface, observations, cell)
+    total = np.zeros((len(cosines), 3))
+    for cosine, seen in zip(cosines.T, observations, strict=True):
+        total += cosine[:, None] ** 2 * _sampled(seen, np.asarray(surface.vertices)).numpy()
+    weight = np.square(cosines).sum(axis=1)
+    across = _differences(surface.edges_unique, len(total))
+    spread = sparse.diags(weight + 1e-9) + 1e-3 * across.T @ across
+    return np.clip(splu(spread.tocsc()).solve(total), 0, 1)
+
+
+def nearest_pixels(camera: Camera, positions: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Row and column of the pixel that is nearest to each position, and depths [m]."""
+    pixels, depths = camera.project(positions)
+    columns, rows = np.clip(np.floor(np.nan_to_num(pixels)), 0, [camera.w - 1, camera.h - 1]).astype(int).T
+    return (rows, columns), depths
+
+
+def _cosines(surface: trimesh.Trimesh, observations: Sequence[Observation], cell: float) -> Float[np.ndarray, "V C"]:
+    """Cosine between normal and ray to each camera; zero if hidden or grazing."""
+    pixel = footprint(observations)
+    points, _ = trimesh.sample.sample_surface(surface, int(8 * surface.area / pixel**2), seed=0)
+    vertices, normals = np.asarray(surface.vertices), np.asarray(surface.vertex_normals)
+    cosines = np.zeros((len(vertices), len(observations)))
+    for column, seen in enumerate(observations):
+        camera = seen.camera
+        nearest = np.full((camera.h, camera.w), np.inf)
+        place, depth = nearest_pixels(camera, points)
+        np.minimum.at(nearest, place, depth)
+        towards = camera.position - vertices
+        cosine = np.einsum("vi,vi->v", normals, towards) / np.linalg.norm(towards, axis=1)
+        place, depth = nearest_pixels(camera, vertices)
+        cosines[:, column] = np.where((cosine > STEEPEST) & (depth < nearest[place] + HIDDEN * cell), cosine, 0.0)
+    return cosines
+
+
+def _sampled(seen: Observation, positions: Float[np.ndarray, "... 3"]) -> Float[Tensor, "... 3"]:
+    """Colours of the picture at positions [m], bilinear."""
+    pixels, _ = seen.camera.project(positions)
+    grid = torch.as_tensor(2 * pixels / [seen.camera.w, seen.camera.h] - 1, dtype=torch.float32)
+    image = seen.image.permute(2, 0, 1)[None]
+    colours = grid_sample(image, grid.reshape(1, 1, -1, 2), padding_mode="border", align_corners=False)
+    return colours[0, :, 0].T.reshape(positions.shape)
+
+
+def _correlations(
+    surface: trimesh.Trimesh,
+    observations: Sequence[Observation],
+    cosines: Float[np.ndarray, "V C"],
+    offsets: Float[np.ndarray, " S"],
+) -> Float[np.ndarray, "V S"]:
+    """Mean correlation of the colours of a vertex's patch between its views, per offset; NaN with fewer than two."""
+    vertices, normals = np.asarray(surface.vertices), np.asarray(surface.vertex_normals)
+    patches = _patches(normals, footprint(observations))
+    order = np.argsort(-cosines, axis=1)[:, :VIEWS]
+    used = torch.as_tensor(np.take_along_axis(cosines, order, axis=1) > 0)
+    both = torch.triu(used[:, :, None] & used[:, None, :], diagonal=1).float()
+    scores = np.full((len(vertices), len(offsets)), np.nan)
+    for column, offset in enumerate(offsets):
+        places = (vertices + offset * normals)[:, None] + patches
+        colours = torch.zeros(len(vertices), VIEWS, patches.shape[1], 3)
+        for number, seen in enumerate(observations):
+            rows, slots = np.nonzero((order == number) & used.numpy())
+            colours[rows, slots] = _sampled(seen, places[rows])
+        colours -= colours.mean(dim=2, keepdim=True)
+        spread = colours.square().mean(dim=(2, 3), keepdim=True).sqrt()
+        flat = (colours / (spread + DARK)).flatten(start_dim=2)
+        pairs = torch.einsum("vap,vbp->vab", flat, flat) / flat.shape[2]
+        scores[:, column] = ((both * pairs).sum(dim=(1, 2)) / both.sum(dim=(1, 2))).numpy()
+    return scores
+
+
+def _patches(normals: Float[np.ndarray, "V 3"], pixel: float) -> Float[np.ndarray, "V P 3"]:
+    """Squares of points in the tangent planes, a pixel [m] apart, about the origin."""
+    across = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    along = np.cross(normals, across)
+    steps = pixel * np.arange(-PATCH, PATCH + 1)
+    first, second = (grid.ravel()[None, :, None] for grid in np.meshgrid(steps, steps))
+    return first * across[:, None] + second * along[:, None]
+
+
+def _best_offsets(
+    scores: Float[np.ndarray, "V S"], offsets: Float[np.ndarray, " S"], edges: Int[np.ndarray, "E 2"]
+) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, " V"]]:
+    """Offset [m] of the best correlation, and how certain it is, 0 to 1.
+
+    The best place at the outer end says nothing; that at the inner end says that the surface lies farther inside.
+    """
+    known = np.isfinite(scores).all(axis=1)
+    mean = _neighbour_means(edges, len(scores))
+    shared, weight = np.where(known[:, None], scores, 0.0), known.astype(float)
+    for _ in range(SHARED):
+        shared, weight = 0.5 * (shared + mean @ shared), 0.5 * (weight + mean @ weight)
+    shared /= np.maximum(weight, 1e-6)[:, None]
+    rows, best = np.arange(len(scores)), shared.argmax(axis=1)
+    middle = np.clip(best, 1, len(offsets) - 2)
+    before, peak, after = (shared[rows, middle + step] for step in (-1, 0, 1))
+    curvature = np.maximum(2 * peak - before - after, 1e-6)
+    place = middle + np.clip(0.5 * (after - before) / curvature, -1, 1)
+    telling = np.clip((peak - np.median(shared, axis=1) - DEAD) / TELLING, 0, 1)
+    certain = np.where(known & (best < len(offsets) - 1), np.clip(peak, 0, 1) ** 2 * telling, 0.0)
+    return np.interp(place, np.arange(len(offsets)), offsets), certain
+
+
+def _smoothness(edges: Int[np.ndarray, "E 2"], unseen: Bool[np.ndarray, " V"]) -> tuple[sparse.spmatrix, sparse.spmatrix]:
+    """Bending of the seen part, and a membrane over the edges of the rest, [V, V] each."""
+    bent = sparse.diags(np.where(unseen, 0.1, 1.0)) @ (sparse.eye(len(unseen)) - _neighbour_means(edges, len(unseen)))
+    across = _differences(edges[unseen[edges].any(axis=1)], len(unseen))
+    return BENDING * bent.T @ bent, MEMBRANE * across.T @ across
+
+
+def _differences(edges: Int[np.ndarray, "E 2"], count: int) -> sparse.spmatrix:
+    """Difference of the vertices of each edge, [E, count]."""
+    rows = np.arange(len(edges)).repeat(2)
+    return sparse.csr_matrix((np.tile([1.0, -1.0], len(edges)), (rows, edges.ravel())), (len(edges), count))
+
+
+def _neighbour_means(edges: Int[np.ndarray, "E 2"], count: int) -> sparse.spmatrix:
+    """Mean over the neighbours, [count, count]."""
+    rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
+    links = sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), (count, count))
+    return sparse.diags(1 / np.maximum(np.asarray(links.sum(axis=1))[:, 0], 1)) @ links
