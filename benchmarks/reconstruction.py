@@ -3,7 +3,8 @@
 Each object (a folder with model.obj and texture.png) is rendered at 448² from 12 cameras to fit (elevations 10, 35 and
 −10 degrees in turn) and 4 held out between them (20 and 0 degrees), with alpha, before white; then reconstructed from
 them and its mesh. Coverage is measured against the mesh, where that is watertight; `margin` is half of what a pixel
-covers. Processor time counts all threads. Rows of other objects from runs with the same settings are kept.
+covers. The body's closed surface is compared with the mesh, beside the visual hull of the same silhouettes. Processor
+time counts all threads. Rows of other objects from runs with the same settings are kept.
 
 Starts that know less than the mesh: `--set start=hull` (the visual hull of the silhouettes), and `--set start=points
 --points 20000`: so many random points of the surface, each off by one pixel's footprint (normal, each coordinate), as
@@ -29,13 +30,28 @@ import torch
 import trimesh
 
 from data_gen import StillViews, load_user_mesh, write_still_capture
-from inference import Reconstruction, ReconstructOptions, reconstruct
+from inference import Reconstruction, ReconstructOptions, capture_views, reconstruct
 from physconvex import InputError
 from physconvex.io import load_capture
+from physconvex.mesh import enclosed_volume, surface_distance, with_merged_vertices
+from physconvex.reconstruction import visual_hull
 from train import Coverage, measure_coverage
 
 RESULTS = Path(__file__).parent / "results"
 VIEWS = (StillViews(12, (10, 35, -10), name="fit"), StillViews(4, (20, 0), phase=0.37, name="held"))
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A closed surface against the mesh: relative error of the volume, and distances over the mesh's longest edge.
+
+    `distance` is the mean from the surface to the mesh and back, `farthest` the greatest from the mesh to it.
+    """
+
+    seconds: float
+    volume: float
+    distance: float
+    farthest: float
 
 
 @dataclass(frozen=True)
@@ -58,6 +74,8 @@ class Row:
     processor_seconds: float | None
     peak_memory_mib: float
     coverage: Coverage | None
+    surface: Surface | None
+    hull: Surface | None
 
 
 def measure(name: str, folder: Path, work: Path, options: argparse.Namespace) -> Row:
@@ -75,9 +93,13 @@ def measure(name: str, folder: Path, work: Path, options: argparse.Namespace) ->
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     numbers = result.to_json()
     training, held = numbers["training"]["mean"], numbers["held_out"]["mean"]
+    clock = time.perf_counter()
+    hull = visual_hull(capture_views(load_capture(capture), held_out).training)
+    hull_seconds = time.perf_counter() - clock
     return Row(
         name, result.start, len(result.field), training["psnr"], training["ssim"], held["psnr"], held["psnr_object"],
         held["ssim"], held["mask_iou"], result.seconds, spent, memory, coverage(result, capture),
+        surface_of(result.body, capture, result.body_seconds), surface_of(hull, capture, hull_seconds),
     )  # fmt: skip
 
 
@@ -88,6 +110,21 @@ def mesh_and_pixel(capture: Path) -> tuple[trimesh.Trimesh, float]:
     assert mesh is not None
     camera = source.cameras[0]
     return mesh, float(np.linalg.norm(camera.position - mesh.bounds.mean(axis=0))) / camera.fl_x
+
+
+def surface_of(body: trimesh.Trimesh | None, capture: Path, seconds: float) -> Surface | None:
+    """A surface against the capture's mesh; None without either as a closed one."""
+    mesh, _ = mesh_and_pixel(capture)
+    vertices, faces = with_merged_vertices(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces))
+    volume = enclosed_volume(vertices, faces)
+    if body is None or volume is None:
+        return None
+    there, back = (trimesh.sample.sample_surface(one, 20_000, seed=0)[0] for one in (body, mesh))
+    ours = np.abs(surface_distance(np.asarray(body.vertices), np.asarray(body.faces))(back))
+    theirs = np.abs(surface_distance(vertices, faces)(there))
+    size = float(np.ptp(vertices, axis=0).max())
+    distance = 0.5 * (ours.mean() + theirs.mean()) / size
+    return Surface(seconds, float(body.volume / volume - 1), float(distance), float(ours.max() / size))
 
 
 def cloud(capture: Path, count: int, path: Path) -> Path:

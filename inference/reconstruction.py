@@ -50,6 +50,7 @@ _LOG = logging.getLogger("physconvex")
 STATE, RESULT = "state.safetensors", "reconstruction.json"
 FIELD, HULLS, FILM = "field.ply", "hulls.glb", "turntable.mp4"
 BODY, BODY_GLB = "body.ply", "body.glb"
+_Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])  # as in glTF
 _STORE_EVERY = 20.0  # seconds
 _DIFFERENCE_GAIN = 4.0
 _FILM_FRAMES, _FILM_RATE = 48, 24.0
@@ -64,11 +65,12 @@ class ScoreTable(TypedDict):
 
 
 class BodyRecord(TypedDict):
-    """The body's surface: number of vertices, volume [m³], longest edge of its bounding box [m]."""
+    """The body's surface: vertices, volume [m³], longest edge of its bounding box [m], time to find it [s]."""
 
     vertices: int
     volume: float
     size: float
+    seconds: float
 
 
 class ReconstructionRecord(TypedDict):
@@ -98,7 +100,7 @@ class Reconstruction:
         training, held_out: scores of the fitted views and of the others.
         start: source of the first convexes: mesh, hull or points.
         silhouettes: source of the object's silhouettes.
-        seconds: wall-clock time of the fit and of the surface [s].
+        seconds, body_seconds: wall-clock time of the fit, and of the surface [s].
         config: the settings.
         out: folder of the files, or None.
     """
@@ -110,6 +112,7 @@ class Reconstruction:
     start: str
     silhouettes: tuple[str, ...]
     seconds: float
+    body_seconds: float
     config: ReconstructionConfig
     out: Path | None = None
 
@@ -133,17 +136,17 @@ class Reconstruction:
             "start": self.start,
             "silhouettes": list(self.silhouettes),
             "seconds": self.seconds,
-            "body": _body_record(self.body),
+            "body": self._body_record(),
             "training": _table(self.training),
             "held_out": _table(self.held_out),
             "config": self.config.model_dump(mode="json"),
         }
 
-
-def _body_record(body: trimesh.Trimesh | None) -> BodyRecord | None:
-    if body is None:
-        return None
-    return {"vertices": len(body.vertices), "volume": float(body.volume), "size": float(body.extents.max())}
+    def _body_record(self) -> BodyRecord | None:
+        if self.body is None:
+            return None
+        volume, size = float(self.body.volume), float(self.body.extents.max())
+        return {"vertices": len(self.body.vertices), "volume": volume, "size": size, "seconds": self.body_seconds}
 
 
 def _table(scores: Sequence[ViewScore]) -> ScoreTable:
@@ -199,10 +202,14 @@ def reconstruct(
         state = begin(start_field(views.training, config, mesh=mesh, points=given))
     state = _fit_and_store(state.to(place), views, config, folder=folder, claim=claim, on_step=on_step)
     field = _closed(state, body_surface(kind, views.training, mesh), config)
-    body = _body(field, views, state)
+    clock = time.perf_counter()
+    body = _body(field, views)
+    body_seconds = time.perf_counter() - clock
     trained, tested = (score_views(field.to(place), part) for part in (views.training, views.held_out))
     training, held_out = (tuple(one for one, _ in part) for part in (trained, tested))
-    result = Reconstruction(field, body, training, held_out, kind, views.silhouettes, state.seconds, config, folder)
+    result = Reconstruction(
+        field, body, training, held_out, kind, views.silhouettes, state.seconds, body_seconds, config, folder
+    )
     _LOG.info("reconstruct: %d convexes from the %s in %.0f s", len(field), kind, state.seconds)
     if folder is not None:
         pictures = [image for _, image in (*trained, *tested)]
@@ -221,16 +228,13 @@ def _closed(state: FitState, surface: trimesh.Trimesh | None, config: Reconstruc
     return field
 
 
-def _body(field: ConvexField, views: CaptureViews, state: FitState) -> trimesh.Trimesh | None:
+def _body(field: ConvexField, views: CaptureViews) -> trimesh.Trimesh | None:
     """The closed surface, or None, with a warning, where the silhouettes contradict each other."""
-    clock = time.perf_counter()
     try:
         return closed_surface(field, views.training)
     except InputError as error:
         _LOG.warning("reconstruct: no surface of the body: %s", error)
         return None
-    finally:
-        state.seconds += time.perf_counter() - clock
 
 
 def _fit_and_store(
@@ -268,7 +272,7 @@ def _read_points(path: Path) -> np.ndarray:
 
 def _claim(views: CaptureViews, config: ReconstructionConfig, points: np.ndarray | None) -> str:
     """Checksum of everything that the result depends on."""
-    digest = hashlib.sha256(config.model_dump_json().encode())
+    digest = hashlib.sha256(b"field and surface" + config.model_dump_json().encode())
     for part in (views.training, views.held_out):
         digest.update(b"part")
         for seen in part:
@@ -310,9 +314,10 @@ def _read(folder: Path, content: ReconstructionRecord, config: ReconstructionCon
     )
     silhouettes = tuple(content["silhouettes"])
     field = read_ply(folder / FIELD)
-    return Reconstruction(
-        field, body, training, held_out, content["start"], silhouettes, content["seconds"], config, folder
-    )
+    start, seconds, stated = content["start"], content["seconds"], content["body"]
+    body = None if stated is None else trimesh.load(folder / BODY, force="mesh", process=False)
+    spent = 0.0 if stated is None else stated["seconds"]
+    return Reconstruction(field, body, training, held_out, start, silhouettes, seconds, spent, config, folder)
 
 
 def _write(
@@ -329,8 +334,10 @@ def _write(
     write_ply(result.field, folder / FIELD)
     write_glb(result.field, folder / HULLS)
     if result.body is not None:
-        for name in (BODY, BODY_GLB):
-            result.body.export(folder / name)
+        result.body.export(folder / BODY)
+        upright = result.body.copy()
+        upright.apply_transform(_Y_UP)
+        upright.export(folder / BODY_GLB)
     (folder / "views").mkdir(exist_ok=True)
     for seen, picture in zip((*views.training, *views.held_out), pictures, strict=True):
         _write_comparison(folder / "views" / f"{seen.camera.name}.png", seen, picture)

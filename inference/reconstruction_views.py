@@ -52,20 +52,18 @@ def capture_views(capture: Capture, held_out: Sequence[str] = (), *, least: int 
 
 def _observation(capture: Capture, name: str) -> tuple[Observation, str]:
     """Frame 0 of a camera, and the source of its silhouette."""
-    camera, video = capture.camera(name), capture.video(name)
-    frame = video.frames[0]
-    if (capture.folder / f"{name}_mask.mp4").exists():
-        mask = capture.mask(name)
-        assert mask is not None
-        return observation_of(camera, frame, mask[0]), "mask"
-    if video.alpha is not None:
-        return observation_of(camera, frame, video.alpha[0]), "alpha"
+    camera, (frame, alpha) = capture.camera(name), capture.first_frame(name)
+    mask = capture.first_mask(name)
+    if mask is not None:
+        return observation_of(camera, frame, mask), "mask"
+    if alpha is not None:
+        return observation_of(camera, frame, alpha), "alpha"
     from models import plain_background_masks
 
     masks = plain_background_masks(frame[None])
     if masks is None or not np.any(masks):
         raise InputError(
-            f"camera {name!r}: no {name}_mask.mp4, no alpha channel, and its background is not plain, so the object "
-            "cannot be told from it; add a mask or images with alpha"
+            f"camera {name!r}: no {name}_mask.mp4 or .png, no alpha channel, and its background is not plain, so the "
+            "object cannot be told from it; add a mask or images with alpha"
         )
     return observation_of(camera, frame, masks[0]), "plain background"

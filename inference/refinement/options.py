@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
@@ -53,6 +54,9 @@ class RefineOptions(Options):
     """Compare colours of pixels in the last fit, instead of points tracked in videos."""
     exposure: Annotated[bool, _SEEN] = True
     """Fit gain and offset of the colours of each frame."""
+    body: Annotated[Path | None, _SEEN] = None
+    """Mesh of the closed surface at t = 0 [m], in place of the capture's. Default: that of the capture, else
+    reconstructed from the first frames of its cameras."""
     nuisance: Nuisance = Field(default_factory=Nuisance)
     """Priors of camera pose and time offset; none is free unless given."""
 

@@ -25,6 +25,8 @@ from inference.refinement.reduced_search import ReducedSearch
 from inference.refinement.result import Refinement
 from inference.refinement.rigid_drift import drift_of, drifted, followed_motion, with_drift
 from inference.refinement.stages import Arrays, RefinementRun, Stages, arrays_of_correction, fit_of, key_of, runs_of
+from inference.rest_geometry import with_rest_geometry
+from inference.settings import ReconstructOptions
 from models import find_checkpoint
 from physconvex import ConvergenceError, InputError
 from physconvex.fem import SurfacePoints
@@ -66,7 +68,8 @@ def refine(
     """Identify the material of one capture, and predict its motion beyond the observed frames.
 
     Args:
-        path: capture folder (`capture.json`, see the docs) with a rest geometry and marker tracks, videos, or both.
+        path: capture folder (`capture.json`, see the docs) with marker tracks, videos, or both. Without a rest geometry
+            it is reconstructed from the first frames of all cameras.
         out: folder for finished stages, from which a stopped refinement continues; None keeps nothing. Result files are
             written by `inference.write_refinement`.
         initial: a prediction as the start, instead of a scan.
@@ -87,10 +90,14 @@ def refine(
     if initial is not None:
         start = {"log10_youngs_modulus": math.log10(initial.youngs_modulus), "poisson_ratio": initial.poisson_ratio}
         options = options.replace(initial={**start, **options.initial})
-    capture = load_capture(Path(path))
+    capture, folder = load_capture(Path(path)), None if out is None else Path(out)
     selected(capture, options)  # what is missing is told before the work begins
+    reconstruction = ReconstructOptions(device=options.device)
+    capture = with_rest_geometry(capture, body=options.body, out=folder, options=reconstruction, on_stage=on_stage)
     settings = {name: value for name, value in options.to_json().items() if name not in _WHERE}
-    stages = Stages(None if out is None else Path(out), key_of(capture.folder, settings), on_stage)
+    if capture.body is not None:
+        settings["body"] = capture.body.identifier_hash
+    stages = Stages(folder, key_of(capture.folder, settings), on_stage)
     with Workers(options.processes) as workers:
         return _refined(RefinementRun(capture, options, stages, workers))
 

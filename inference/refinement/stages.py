@@ -26,6 +26,7 @@ Arrays = dict[str, np.ndarray]
 Scanned = tuple[tuple[Parameter, ...], ...]
 _KEY = "stage_key"
 _IN_WORDS = {  # of NAME, and of NAME_… unless that has its own
+    "reconstruction": "reconstructing the body from the first frames",
     "points": "following points in the videos",
     "scan": "scanning Young's modulus",
     "reduced": "fitting the reduced model",

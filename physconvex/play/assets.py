@@ -70,25 +70,30 @@ class Asset:
     """An object at rest.
 
     Attributes:
-        surface: its surface; of a convex field the hulls, which may overlap.
-        convexes: the field, if it is one.
+        surface: its surface.
+        convexes: the convex field that moves with it, if there is one.
+        overlapping: whether the surface is the hulls of the field, which may overlap.
         settings: sections of the configuration from the file, such as a refined material.
     """
 
     surface: RestSurface
     convexes: ConvexField | None = None
+    overlapping: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 def read_asset(path: str | Path) -> Asset:
-    """Read a mesh file, a PLY file of a convex field, or a folder of `physconvex refine`.
+    """Read a mesh file, a PLY file of a convex field, or a folder of `physconvex refine` or `physconvex reconstruct`.
 
-    Of a refinement the surface at t = 0 and E, ν, damping time and density are used, not the scene of the capture.
+    Of a refinement the surface at t = 0 and E, ν, damping time and density are used, not the scene of the capture. Of a
+    reconstruction the closed surface moves, and the convex field with it.
 
     Raises:
         InputError: none of these, or unreadable.
     """
     path = Path(path)
+    if path.is_dir() and (path / "reconstruction.json").exists() and (path / "body.ply").exists():
+        return Asset(read_surface(path / "body.ply"), read_ply(path / "field.ply"))
     if path.is_dir():
         return _refined(path)
     if path.suffix.lower() == ".ply" and path.is_file() and _FIELD_MARK in path.read_bytes()[:4000]:
@@ -96,7 +101,7 @@ def read_asset(path: str | Path) -> Asset:
         hulls = hull_mesh(convexes)
         if hulls.is_empty:
             raise InputError(f"{path}: no convex has a volume; expected a field with solid convexes")
-        return Asset(RestSurface(np.asarray(hulls.vertices), np.asarray(hulls.faces)), convexes)
+        return Asset(RestSurface(np.asarray(hulls.vertices), np.asarray(hulls.faces)), convexes, overlapping=True)
     return Asset(read_surface(path))
 
 

@@ -176,13 +176,14 @@ def _prepare(asset: Asset, config: PlayConfig, ground: float, *, alone: bool) ->
     mesh = tetrahedralize(
         (placed.vertices, placed.faces),
         order=2,
-        method="ftetwild" if convexes is not None and config.basis.mesher == "auto" else config.basis.mesher,
+        method="ftetwild" if asset.overlapping and config.basis.mesher == "auto" else config.basis.mesher,
         max_nodes=config.basis.max_nodes,
-        match_volume=convexes is None,  # hulls overlap: their volumes do not add up
+        match_volume=not asset.overlapping,  # hulls overlap: their volumes do not add up
     )
-    mesh = mesh if convexes is None else with_volume(mesh, union_volume(convexes))
+    if asset.overlapping and convexes is not None:
+        mesh = with_volume(mesh, union_volume(convexes))
     samples = BodySamples.of_mesh(mesh)
-    if convexes is None:  # the surface itself makes contact, not the nodes of the coarse mesh
+    if not asset.overlapping:  # the surface itself makes contact, not the nodes of the coarse mesh
         points, areas = placed.contact_points(config.basis.contact_points)
         closed = enclosed_volume(placed.vertices, placed.faces) is not None
         shell = Shell(placed.vertices, placed.faces) if closed else samples.shell

@@ -29,12 +29,10 @@ STEEPEST = 0.25  # least cosine between a normal and a ray
 HIDDEN = 2.5  # cells behind the nearest surface
 DARK = 0.01  # standard deviation of colour that is noise
 SHARED = 2  # rounds of averages of the correlation over neighbours
-DEAD = 0.04
 TELLING = 0.2  # excess of the best correlation over the median that tells all
 RIM = 0.3  # cells: a vertex that near to the hull's surface is on a silhouette
 # weights of the displacement: of a full agreement (1), of a silhouette, of the old place where the pictures say nothing
 # and where one or none shows it; of the bending of the whole, and of the membrane where one or none shows it
-CURVED = 0.5  # share of the old curvature that bending keeps
 ON_RIM, UNSURE, UNSEEN, BENDING, MEMBRANE = 0.3, 0.002, 1e-5, 0.05, 0.003
 
 
@@ -58,10 +56,8 @@ def moved_to_agreement(
         rim = (np.abs(beyond) < RIM * cell) & (views > 0)
         held = np.where(rim, ON_RIM, np.where(views < 2, UNSEEN, UNSURE))
         kept = vertices - np.maximum(beyond, 0)[:, None] * normals
-        bending, membrane = _smoothness(edges, views < 2)
         wanted = held[:, None] * kept + certain[:, None] * (vertices + offset[:, None] * normals)
-        wanted += CURVED * bending @ vertices
-        stiffness = sparse.diags(held + certain) + bending + membrane
+        stiffness = sparse.diags(held + certain) + _smoothness(edges, views < 2)
         surface = trimesh.Trimesh(splu(stiffness.tocsc()).solve(wanted), surface.faces, process=False)
     return surface
 
@@ -169,16 +165,16 @@ def _best_offsets(
     before, peak, after = (shared[rows, middle + step] for step in (-1, 0, 1))
     curvature = np.maximum(2 * peak - before - after, 1e-6)
     place = middle + np.clip(0.5 * (after - before) / curvature, -1, 1)
-    telling = np.clip((peak - np.median(shared, axis=1) - DEAD) / TELLING, 0, 1)
+    telling = np.clip((peak - np.median(shared, axis=1)) / TELLING, 0, 1)
     certain = np.where(known & (best < len(offsets) - 1), np.clip(peak, 0, 1) ** 2 * telling, 0.0)
     return np.interp(place, np.arange(len(offsets)), offsets), certain
 
 
-def _smoothness(edges: Int[np.ndarray, "E 2"], unseen: Bool[np.ndarray, " V"]) -> tuple[sparse.spmatrix, sparse.spmatrix]:
-    """Bending of the seen part, and a membrane over the edges of the rest, [V, V] each."""
+def _smoothness(edges: Int[np.ndarray, "E 2"], unseen: Bool[np.ndarray, " V"]) -> sparse.spmatrix:
+    """Bending of the seen part, and a membrane over the edges of the rest, [V, V]."""
     bent = sparse.diags(np.where(unseen, 0.1, 1.0)) @ (sparse.eye(len(unseen)) - _neighbour_means(edges, len(unseen)))
     across = _differences(edges[unseen[edges].any(axis=1)], len(unseen))
-    return BENDING * bent.T @ bent, MEMBRANE * across.T @ across
+    return BENDING * bent.T @ bent + MEMBRANE * across.T @ across
 
 
 def _differences(edges: Int[np.ndarray, "E 2"], count: int) -> sparse.spmatrix:

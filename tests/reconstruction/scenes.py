@@ -23,13 +23,21 @@ def ball_mesh(subdivisions: int = 3) -> trimesh.Trimesh:
 
 def striped_ball() -> ConvexField:
     """1,280 prisms under the ball's surface in two colours, sharp and opaque."""
+    stripes = np.sin(120 * ball_mesh().triangles_center[:, 2]) > 0
+    return _ball(np.where(stripes[:, None], [0.9, 0.5, 0.2], [0.2, 0.4, 0.7]))
+
+
+def speckled_ball() -> ConvexField:
+    """The same in random colours, of which every patch is recognised."""
+    return _ball(np.random.default_rng(0).uniform(0.1, 0.9, (len(ball_mesh().faces), 3)))
+
+
+def _ball(colours: np.ndarray) -> ConvexField:
     mesh = ball_mesh()
     points = np.concatenate([mesh.triangles, 0.8 * mesh.triangles], axis=1) * 1.005
-    stripes = np.sin(120 * mesh.triangles_center[:, 2]) > 0
-    colours = torch.as_tensor(np.where(stripes[:, None], [0.9, 0.5, 0.2], [0.2, 0.4, 0.7]), dtype=torch.float32)
-    ones = torch.ones(len(points))
+    ones, rgb = torch.ones(len(points)), torch.as_tensor(colours, dtype=torch.float32)
     return ConvexField(
-        torch.as_tensor(points, dtype=torch.float32), 4e4 * ones, ones, ones, coefficients_of_colour(colours)
+        torch.as_tensor(points, dtype=torch.float32), 4e4 * ones, ones, ones, coefficients_of_colour(rgb)
     )
 
 
@@ -43,13 +51,13 @@ def ring(count: int, *, size: int = 48, phase: float = 0.0) -> list[Camera]:
     return found
 
 
-def pictures(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Colours (not multiplied by alpha) and alpha of the ball, bytes."""
-    image = render(striped_ball(), camera, background=torch.zeros(3))
+def pictures(camera: Camera, field: ConvexField | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Colours (not multiplied by alpha) and alpha of a field, the striped ball by default, bytes."""
+    image = render(striped_ball() if field is None else field, camera, background=torch.zeros(3))
     colour = image.colour / image.alpha.clamp(min=1e-6)[..., None]
     return tuple((255 * part.clamp(0, 1)).round().byte().numpy() for part in (colour, image.alpha))
 
 
-def views(count: int, *, size: int = 48, phase: float = 0.0) -> list[Observation]:
-    """Observations of the ball."""
-    return [observation_of(camera, *pictures(camera)) for camera in ring(count, size=size, phase=phase)]
+def views(count: int, *, size: int = 48, phase: float = 0.0, field: ConvexField | None = None) -> list[Observation]:
+    """Observations of a field, the striped ball by default."""
+    return [observation_of(camera, *pictures(camera, field)) for camera in ring(count, size=size, phase=phase)]

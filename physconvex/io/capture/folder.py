@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, UInt8
 
 from physconvex.errors import InputError
 from physconvex.io.camera import Camera
 from physconvex.io.capture.metadata import CAPTURE_FILE, CaptureFile, read_capture_file
 from physconvex.io.capture.parts import Boundary, Tracks, read_arrays, read_boundary, read_tracks
-from physconvex.io.video.images import read_image_sequence
+from physconvex.io.video.images import IMAGE_SUFFIXES, read_image, read_image_sequence
 from physconvex.io.video.reading import read_video
 from physconvex.io.video.result import Video
 
@@ -48,7 +48,8 @@ class Capture:
     """A recording of one motion of one object, in SI units, world frame with z up.
 
     Frame 0 is the state at t = 0. The first `observed_frames` may be fitted; the others are to be predicted. Initial
-    velocities are None if the capture does not state them.
+    velocities are None if the capture does not state them. A camera has a video, a folder of images, or one picture of
+    frame 0. `body` takes the place of the capture's own rest geometry.
     """
 
     folder: Path
@@ -61,6 +62,7 @@ class Capture:
     floor: Floor | None = None
     initial_velocity: Float64[np.ndarray, " 3"] | None = None  # [m/s] of the centre of mass
     initial_angular_velocity: Float64[np.ndarray, " 3"] | None = None  # [rad/s]
+    body: trimesh.Trimesh | None = None  # closed surface at rest [m]
 
     def __post_init__(self) -> None:
         if not 1 <= self.observed_frames <= self.frames:
@@ -95,7 +97,7 @@ class Capture:
 
     @property
     def filmed(self) -> tuple[Camera, ...]:
-        """The cameras with images; the others may have masks alone."""
+        """The cameras with moving images; the others may have masks alone, or one picture of frame 0."""
         return tuple(camera for camera in self.cameras if any(map(_is_there, self._pictures(camera.name))))
 
     def _pictures(self, camera: str) -> tuple[Path, Path]:
@@ -122,6 +124,33 @@ class Capture:
         alpha = None if video.alpha is None else video.alpha[: self.frames]
         return replace(video, frames=video.frames[: self.frames], alpha=alpha, fps=self.fps, timestamps=self.times)
 
+    def first_frame(self, camera: str) -> tuple[UInt8[np.ndarray, "H W 3"], UInt8[np.ndarray, "H W"] | None]:
+        """Frame 0 of one camera, and its alpha: from `<camera>.png` (or .jpg), else from its video.
+
+        Raises:
+            InputError: see `video`; a picture of another size than the camera's.
+        """
+        size = self.camera(camera)
+        found = [path for path in (self.folder / f"{camera}{suffix}" for suffix in IMAGE_SUFFIXES) if _is_there(path)]
+        if not found:
+            video = self.video(camera)
+            return video.frames[0], None if video.alpha is None else video.alpha[0]
+        rgba = read_image(found[0])
+        _check_frames(found[0], (self.frames, *rgba.shape[:2]), (self.frames, size.h, size.w))
+        return rgba[..., :3], None if rgba[..., 3].min() == 255 else rgba[..., 3]
+
+    def first_mask(self, camera: str) -> Bool[np.ndarray, "H W"] | None:
+        """The object's mask in frame 0, from `<camera>_mask.png`, else `<camera>_mask.mp4`; None without either."""
+        path = self.folder / f"{camera}_mask.png"
+        if _is_there(path):
+            size, picture = self.camera(camera), read_image(path)
+            _check_frames(path, (self.frames, *picture.shape[:2]), (self.frames, size.h, size.w))
+            return picture[..., 0] > 127
+        if not (self.folder / f"{camera}_mask.mp4").exists():
+            return None
+        mask = self.mask(camera)
+        return None if mask is None else mask[0]
+
     def mask(self, camera: str) -> Bool[np.ndarray, "T H W"] | None:
         """The object's mask, from `<camera>_mask.mp4` or the images' alpha; None without any."""
         size, path = self.camera(camera), self.folder / f"{camera}_mask.mp4"
@@ -145,6 +174,8 @@ class Capture:
 
     def mesh(self) -> trimesh.Trimesh | None:
         """Rest geometry in the world frame at t = 0, vertices as in the file; None without any."""
+        if self.body is not None:
+            return self.body
         paths = [self.folder / f"mesh{suffix}" for suffix in MESH_SUFFIXES]
         found = [path for path in paths if path.exists()]
         if len(found) > 1:
@@ -154,7 +185,7 @@ class Capture:
     def tets(self) -> TetMesh | None:
         """Tetrahedra of the rest geometry, or None."""
         path = self.folder / "tets.npz"
-        if not path.exists():
+        if self.body is not None or not path.exists():
             return None
         from physconvex.mesh import TetMesh  # loads torch, which a reader of videos does not need
 

@@ -33,7 +33,7 @@ def read_image_sequence(folder: Path | str, *, fps: float) -> Video:
         raise VideoError(folder, "missing", f"cannot be listed: {error.strerror}; expected a folder") from None
     if len(paths) < 2:
         raise VideoError(folder, "too_few_frames", f"holds {len(paths)} PNG or JPEG images; at least 2 needed")
-    images = [_read_image(path) for path in paths]
+    images = [read_image(path) for path in paths]
     for path, image in zip(paths, images, strict=True):
         if image.shape != images[0].shape:
             height, width = images[0].shape[:2]
@@ -53,7 +53,7 @@ def _in_order(paths: list[Path]) -> list[Path]:
     return [entry[-1] for entry in sorted(numbered)] if len(numbered) > 1 else sorted(paths)
 
 
-def _read_image(path: Path) -> np.ndarray:
+def read_image(path: Path) -> np.ndarray:
     try:
         with Image.open(path) as image:
             if image.mode.startswith("I"):  # 16-bit grey: Pillow would clip, not scale
