@@ -54,6 +54,7 @@ from physconvex.reduced import parameter_values
 _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
 _NOT_FOLLOWED = 5.0  # standard deviations rms of one source, above which intervals are meaningless
 _WHERE = ("processes", "device")  # settings of where it is computed, which leave the result the same
+_FRICTION = (0.4, 0.3)  # prior, mean and standard deviation, of a floor whose friction is not stated
 _LEFT = 0.5  # of the difference between few and more nodes: remaining error of more nodes
 
 
@@ -92,6 +93,13 @@ def refine(
         options = options.replace(initial={**start, **options.initial})
     capture, folder = load_capture(Path(path)), None if out is None else Path(out)
     selected(capture, options)  # what is missing is told before the work begins
+    warnings: list[str] = []
+    if capture.floor is not None and capture.floor.friction is None and not _stated("friction", options):
+        options = options.replace(free=(*options.free, "friction"), priors={"friction": _FRICTION, **options.priors})
+        warnings.append(
+            "The capture does not state the friction of its floor, so it is fitted, with the prior {:g} ± {:g}; state "
+            "it in capture.json if you know it.".format(*_FRICTION)
+        )
     reconstruction = ReconstructOptions(device=options.device)
     capture = with_rest_geometry(capture, body=options.body, out=folder, options=reconstruction, on_stage=on_stage)
     settings = {name: value for name, value in options.to_json().items() if name not in _WHERE}
@@ -99,7 +107,12 @@ def refine(
         settings["body"] = capture.body.identifier_hash
     stages = Stages(folder, key_of(capture.folder, settings), on_stage)
     with Workers(options.processes) as workers:
-        return _refined(RefinementRun(capture, options, stages, workers))
+        return _refined(RefinementRun(capture, options, stages, workers, warnings))
+
+
+def _stated(name: str, options: RefineOptions) -> bool:
+    """Whether a parameter is free or held by the user's wish."""
+    return name in options.free or name in options.fixed
 
 
 def _refined(run: RefinementRun) -> Refinement:

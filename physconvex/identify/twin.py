@@ -223,6 +223,8 @@ def _clamp_on(capture: Capture, mesh: TetMesh) -> Clamp | None:
 def base_twin(capture: Capture, options: TwinOptions | None = None, *, mesh: TetMesh | None = None) -> Twin:
     """The model stated by a capture: geometry, density, gravity, floor and friction, initial motion, boundary.
 
+    A floor of unknown friction is frictionless.
+
     Args:
         capture: the capture; initial motion that it does not state is zero.
         options: discretisation.
@@ -264,7 +266,7 @@ def _obstacles(capture: Capture) -> tuple[Plane, ...]:
     floor = capture.floor
     if floor is None:
         return ()
-    return (Plane(point=_vector(floor.point), normal=_vector(floor.normal), friction=floor.friction),)
+    return (Plane(point=_vector(floor.point), normal=_vector(floor.normal), friction=floor.friction or 0.0),)
 
 
 def enriched(twin: Twin, nodes: Float[np.ndarray, "T V 3"]) -> Twin:

@@ -32,13 +32,13 @@ class Floor:
 
     point: Float64[np.ndarray, " 3"]  # [m]
     normal: Float64[np.ndarray, " 3"]  # unit vector, away from the floor
-    friction: float = 0.0  # Coulomb's coefficient
+    friction: float | None = None  # Coulomb's coefficient; None: unknown
 
     def __post_init__(self) -> None:
         length = float(np.linalg.norm(self.normal))
         if not length > 0:
             raise InputError(f"floor.normal: got {list(self.normal)}, expected a vector that is not zero")
-        if not self.friction >= 0:
+        if self.friction is not None and not self.friction >= 0:
             raise InputError(f"floor.friction: got {self.friction}, expected a number of at least 0")
         object.__setattr__(self, "normal", np.asarray(self.normal, dtype=np.float64) / length)
 

@@ -24,7 +24,8 @@ _Vector = tuple[_Finite, _Finite, _Finite]
 Vector = Annotated[_Vector, Expected("three numbers")]
 OptionalVector = Annotated[_Vector | SkipJsonSchema[None], Expected("three numbers")]
 Positive = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False), Expected("a positive number")]
-NotNegative = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False), Expected("a number of at least 0")]
+_NotNegative = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
+OptionalNotNegative = Annotated[_NotNegative | SkipJsonSchema[None], Expected("a number of at least 0")]
 _Count = Annotated[int, Strict(), Field(ge=1)]
 Count = Annotated[_Count, Expected("a whole number of at least 1")]
 OptionalCount = Annotated[_Count | SkipJsonSchema[None], Expected("a whole number of at least 1")]
@@ -43,8 +44,8 @@ class FloorEntry(_Entry):
     """A point of its surface [m], world frame."""
     normal: Vector
     """Direction away from the floor, of any length but zero, world frame."""
-    friction: NotNegative = 0.0
-    """Coulomb's coefficient."""
+    friction: OptionalNotNegative = None
+    """Coulomb's coefficient. Default: unknown."""
 
 
 class CaptureFile(_Entry):

@@ -91,7 +91,8 @@ def _metadata(capture: Capture) -> dict[str, JsonValue]:
     if capture.floor is not None:
         floor = capture.floor
         point, normal = np.asarray(floor.point).tolist(), np.asarray(floor.normal).tolist()
-        content["floor"] = {"point": point, "normal": normal, "friction": floor.friction}
+        known = {} if floor.friction is None else {"friction": floor.friction}
+        content["floor"] = {"point": point, "normal": normal, **known}
     for name in ("initial_velocity", "initial_angular_velocity"):
         vector = getattr(capture, name)
         if vector is not None:
