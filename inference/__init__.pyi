@@ -17,6 +17,7 @@ from .refinement.result import (
 )
 from .refinement.result_files import write_refinement as write_refinement
 from .refinement.stages import RefinementRun as RefinementRun, Stages as Stages
+from .rest_geometry import with_rest_geometry as with_rest_geometry
 from .results import ResultsFolder as ResultsFolder
 from .settings import ReconstructOptions as ReconstructOptions, StatedConditions as StatedConditions
 from .sources import ClipSource as ClipSource, find_sources as find_sources

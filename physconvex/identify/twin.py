@@ -182,7 +182,8 @@ def mesh_of_capture(capture: Capture, *, max_nodes: int = 700, fill: bool = Fals
     if pair is None:
         raise InputError(
             f"{capture.folder}: no rest geometry; expected tets.npz (vertices, tets) or mesh.obj, .ply or .glb of the "
-            "closed surface where it is at t = 0. Points alone do not tell what body carries them"
+            "closed surface where it is at t = 0, or inference.with_rest_geometry, which finds it in pictures of "
+            "several cameras. Points alone do not tell what body carries them"
         )
     mesh = mesh_of_few_nodes(*pair, max_nodes=max_nodes)
     return filled(mesh, *pair) if fill else mesh

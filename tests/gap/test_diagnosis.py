@@ -55,8 +55,8 @@ def second_take(tmp_path_factory):
 @pytest.fixture(scope="module")
 def diagnosed(capture, second_take, tmp_path_factory):
     """The command's output folder; the fine mesh, which the command line does not offer, has few nodes."""
+    from inference.diagnosis_command import diagnose_command
     from physconvex.gap import diagnosis
-    from physconvex.gap.command import diagnose_command
 
     def with_few_nodes(capture, *, options, **how):
         return whole(capture, options=options.replace(fine_nodes=200), **how)

@@ -11,8 +11,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from inference import ReconstructOptions
-from inference.rest_geometry import with_rest_geometry
+from inference import ReconstructOptions, with_rest_geometry
 from physconvex import InputError
 from physconvex.io import load_capture
 from physconvex.reconstruction import ReconstructionConfig

@@ -9,15 +9,15 @@ from typing import Annotated
 
 import typer
 
-from physconvex.gap.options import GapOptions
-from physconvex.io import command
+from physconvex.gap import GapOptions
+from physconvex.io import command, load_capture
 
 
 @command
 def diagnose_command(
     capture: Annotated[
         Path,
-        typer.Argument(help="Capture folder: capture.json, rest shape, and tracks or videos.", show_default=False),
+        typer.Argument(help="Capture folder: capture.json, and tracks or videos.", show_default=False),
     ],
     options: GapOptions,
     *,
@@ -26,6 +26,13 @@ def diagnose_command(
         typer.Option(help="Second capture of the same body; the reduction of the gap is reported on it too."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the report.")] = Path("diagnosis"),
+    body: Annotated[
+        Path | None,
+        typer.Option(
+            help="Mesh of the closed surface at t = 0 [m], in place of the capture's. Default: that of the capture, "
+            "else reconstructed from the first frames of its cameras."
+        ),
+    ] = None,
     effects: Annotated[str | None, typer.Option(help="Effects to test, separated by commas. Default: all.")] = None,
     without: Annotated[str | None, typer.Option(help="Effects to leave out, separated by commas.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print only report.json, to standard output.")] = False,
@@ -39,7 +46,8 @@ def diagnose_command(
     """
     from tqdm import tqdm
 
-    from physconvex.gap.diagnosis import diagnose
+    from inference.rest_geometry import with_rest_geometry
+    from physconvex.gap import diagnose
 
     with tqdm(total=None, dynamic_ncols=True, disable=no_progress or as_json or not sys.stderr.isatty()) as bar:
 
@@ -47,8 +55,9 @@ def diagnose_command(
             bar.set_description(text)
             bar.update()
 
+        source = with_rest_geometry(load_capture(capture), body=body, out=out, on_stage=lambda name, _: show(name))
         report = diagnose(
-            capture, second_take=second_take, effects=_names(effects), without=_names(without) or (), options=options,
+            source, second_take=second_take, effects=_names(effects), without=_names(without) or (), options=options,
             on_progress=show,
         )  # fmt: skip
     report.save(out)
