@@ -24,7 +24,7 @@ from inference.reconstruction_views import CaptureViews, capture_views
 from inference.settings import ReconstructOptions
 from physconvex import InputError
 from physconvex.convex import ConvexField, read_ply, write_glb, write_ply
-from physconvex.io import Picture, html_summary, load_capture, png_bytes, write_video
+from physconvex.io import Picture, html_summary, load_capture, png_bytes, read_mesh, write_video
 from physconvex.numerics import device_named
 from physconvex.reconstruction import (
     FitProgress,
@@ -315,7 +315,7 @@ def _read(folder: Path, content: ReconstructionRecord, config: ReconstructionCon
     silhouettes = tuple(content["silhouettes"])
     field = read_ply(folder / FIELD)
     start, seconds, stated = content["start"], content["seconds"], content["body"]
-    body = None if stated is None else trimesh.load(folder / BODY, force="mesh", process=False)
+    body = None if stated is None else read_mesh(folder / BODY)
     spent = 0.0 if stated is None else stated["seconds"]
     return Reconstruction(field, body, training, held_out, start, silhouettes, seconds, spent, config, folder)
 

@@ -13,7 +13,7 @@ import trimesh
 from inference.reconstruction import reconstruct
 from inference.settings import ReconstructOptions
 from physconvex import InputError
-from physconvex.io import Capture
+from physconvex.io import Capture, read_mesh
 from physconvex.mesh import enclosed_volume, with_merged_vertices
 
 _LOG = logging.getLogger("physconvex")
@@ -65,10 +65,7 @@ def with_rest_geometry(
 
 
 def _closed(path: Path) -> trimesh.Trimesh:
-    try:
-        mesh = trimesh.load(path, force="mesh", process=False)
-    except Exception as error:  # trimesh's readers raise any exception on broken files
-        raise InputError(f"body: {path} is not a readable mesh ({type(error).__name__}: {error})") from None
+    mesh = read_mesh(path)
     vertices, faces = with_merged_vertices(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces))
     if enclosed_volume(vertices, faces) is None:
         raise InputError(f"body: {path} is not a closed, outward oriented surface; expected one, such as body.ply")

@@ -1,5 +1,10 @@
 from .camera import UNDISTORT_ITERATIONS as UNDISTORT_ITERATIONS, Camera as Camera, look_at as look_at
-from .capture.folder import Capture as Capture, Floor as Floor, load_capture as load_capture
+from .capture.folder import (
+    Capture as Capture,
+    Floor as Floor,
+    load_capture as load_capture,
+    read_mesh as read_mesh,
+)
 from .capture.metadata import (
     CAPTURE_FILE as CAPTURE_FILE,
     CaptureFile as CaptureFile,

@@ -117,14 +117,13 @@ def _unexplained(
     for seen in observations:
         camera = seen.camera
         place, depths = nearest_pixels(camera, lattice[body])
-        covered = np.zeros((camera.h, camera.w), np.uint8)
-        covered[place] = 1
+        shown = np.zeros((camera.h, camera.w), np.uint8)
+        shown[place] = 1
         width = 2 * int(np.ceil(cell * camera.fl_x / depths.mean())) + 1
-        covered = cv2.dilate(covered, np.ones((width, width), np.uint8))
-        missing = ((seen.coverage.numpy() > 0.5) & (covered == 0)).astype(np.uint8)
-        votes += cv2.dilate(missing, np.ones((width + 2, width + 2), np.uint8))[
-            nearest_pixels(camera, lattice[rest])[0]
-        ]
+        covered = cv2.dilate(shown, np.ones((width, width), np.uint8)) > 0
+        missing = (seen.coverage.numpy() > 0.5) & ~covered
+        near = cv2.dilate(missing.astype(np.uint8), np.ones((width + 2, width + 2), np.uint8))
+        votes += near[nearest_pixels(camera, lattice[rest])[0]]
     lost = np.zeros(len(lattice), dtype=bool)
     lost[rest] = votes >= AGREEING
     return lost

@@ -180,7 +180,7 @@ class Capture:
         found = [path for path in paths if path.exists()]
         if len(found) > 1:
             raise InputError(f"{self.folder}: holds {[path.name for path in found]}, expected one mesh")
-        return _load_mesh(found[0]) if found else None
+        return read_mesh(found[0]) if found else None
 
     def tets(self) -> TetMesh | None:
         """Tetrahedra of the rest geometry, or None."""
@@ -254,7 +254,12 @@ def _check_frames(path: Path, got: tuple[int, ...], expected: tuple[int, int, in
         raise InputError(f"{path}: {got[0]} frames, {CAPTURE_FILE} says {expected[0]}; correct `frames`")
 
 
-def _load_mesh(path: Path) -> trimesh.Trimesh:
+def read_mesh(path: Path) -> trimesh.Trimesh:
+    """Triangles of a mesh file, vertices as in the file.
+
+    Raises:
+        InputError: no such file, an unreadable one, or one without triangles.
+    """
     import trimesh  # slow to load
 
     try:
