@@ -65,9 +65,8 @@ class ScoreTable(TypedDict):
 
 
 class BodyRecord(TypedDict):
-    """The body's surface: vertices, volume [m³], longest edge of its bounding box [m], time to find it [s]."""
+    """The body's surface: volume [m³], longest edge of its bounding box [m], time to find it [s]."""
 
-    vertices: int
     volume: float
     size: float
     seconds: float
@@ -146,7 +145,7 @@ class Reconstruction:
         if self.body is None:
             return None
         volume, size = float(self.body.volume), float(self.body.extents.max())
-        return {"vertices": len(self.body.vertices), "volume": volume, "size": size, "seconds": self.body_seconds}
+        return {"volume": volume, "size": size, "seconds": self.body_seconds}
 
 
 def _table(scores: Sequence[ViewScore]) -> ScoreTable:
