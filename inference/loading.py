@@ -139,7 +139,7 @@ def _load_capture(folder: Path) -> LoadedClip:
     """Read the observed frames of a capture's first camera; the later ones are to be predicted."""
     capture = load_capture(folder)
     stated = read_capture_file(folder / CAPTURE_FILE).model_fields_set
-    if not capture.cameras:
+    if not capture.recorded:
         raise InputError(f"{folder}: the capture has no camera; prediction needs a video. Add one to {CAPTURE_FILE}.")
     name, count = _used(capture), capture.observed_frames
     video, mask = capture.video(name), capture.mask(name)
@@ -158,7 +158,7 @@ def _load_capture(folder: Path) -> LoadedClip:
 
 def _used(capture: Capture) -> str:
     """Name of the first camera with images, or with missing ones."""
-    return (capture.filmed or capture.cameras)[0].name
+    return (capture.filmed or capture.recorded)[0].name
 
 
 def _capture_warnings(capture: Capture) -> list[str]:

@@ -81,7 +81,7 @@ def start_field_fit(run: RefinementRun) -> Callable[[], Arrays] | None:
     If the capture has a mesh, the field starts from it: one camera is enough in this case.
     """
     options = run.options
-    if options.field_file is not None or not options.field or not run.capture.filmed:
+    if options.field_file is not None or not options.field or not run.capture.pictured:
         return None
     call = partial(fitted_field, run.capture, options)
     return call if run.stages.known("field") else run.workers.start(call)
@@ -90,7 +90,7 @@ def start_field_fit(run: RefinementRun) -> Callable[[], Arrays] | None:
 def fitted_field(capture: Capture, options: RefineOptions) -> Arrays:
     """Parts of a field fitted to the first images on `options.device`, and the quality of each camera's image [dB]."""
     mesh = capture.mesh()
-    views = capture_views(replace(capture, cameras=capture.filmed), least=2 if mesh is None else 1).training
+    views = capture_views(replace(capture, cameras=capture.pictured), least=2 if mesh is None else 1).training
     config = ReconstructionConfig(budget=options.field_budget, steps=options.field_steps)
     around = [*views]
     if mesh is not None and len(views) == 1:  # the hidden sides get the mean colour and stay fixed

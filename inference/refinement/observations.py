@@ -114,7 +114,7 @@ def selected(capture: Capture, options: RefineOptions) -> tuple[bool, tuple[Came
             f"{capture.folder}: observed_frames is {capture.observed_frames}; expected at least 2, since frame 0 is "
             "the known state at t = 0"
         )
-    tracked, filmed = capture.tracks() is not None, bool(capture.cameras)
+    tracked, filmed = capture.tracks() is not None, bool(capture.recorded)
     wanted = options.observations
     if (wanted in ("tracks", "both") and not tracked) or (wanted in ("video", "both") and not filmed):
         missing = "tracks.npz" if not tracked and wanted != "video" else "cameras in capture.json"
@@ -132,7 +132,7 @@ def selected(capture: Capture, options: RefineOptions) -> tuple[bool, tuple[Came
             )
         return tracked, ()
     names = options.cameras
-    cameras = capture.cameras if names is None else tuple(capture.camera(name) for name in names)
+    cameras = capture.recorded if names is None else tuple(capture.camera(name) for name in names)
     return tracked and wanted != "video", cameras
 
 

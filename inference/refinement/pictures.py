@@ -21,7 +21,7 @@ _SEEN, _MODEL = (200, 40, 40), (40, 70, 200)
 
 def write_side_by_side(found: Refinement, capture: Capture, path: Path) -> None:
     """Write observed | model | difference of the first camera; without one, markers over the model's surface."""
-    of_frames = _video_panels if capture.filmed else _outline_panels if capture.cameras else _marker_panels
+    of_frames = _video_panels if capture.filmed else _outline_panels if capture.recorded else _marker_panels
     frames = (_labelled(panels, frame, found) for frame, panels in enumerate(of_frames(found, capture)))
     write_video(path, frames, fps=min(capture.fps, 24.0))
 
@@ -47,7 +47,7 @@ def _video_panels(found: Refinement, capture: Capture) -> Iterator[Sequence[np.n
 
 def _outline_panels(found: Refinement, capture: Capture) -> Iterator[Sequence[np.ndarray]]:
     """Images of a camera without a video: its masks and the model's, grey on white."""
-    camera, motion = capture.cameras[0], found.motion
+    camera, motion = capture.recorded[0], found.motion
     masks = capture.mask(camera.name)
     assert masks is not None
     for frame, mask in enumerate(masks):

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from inference.prediction import Prediction
+from inference.reconstruction import FIELD
 from inference.refinement.appearance import appearance_of, start_field_fit
 from inference.refinement.coarse_start import START_OPTIONS, coarse_start
 from inference.refinement.colour_search import fit_colours
@@ -25,7 +26,7 @@ from inference.refinement.reduced_search import ReducedSearch
 from inference.refinement.result import Refinement
 from inference.refinement.rigid_drift import drift_of, drifted, followed_motion, with_drift
 from inference.refinement.stages import Arrays, RefinementRun, Stages, arrays_of_correction, fit_of, key_of, runs_of
-from inference.rest_geometry import with_rest_geometry
+from inference.rest_geometry import RECONSTRUCTION, with_rest_geometry
 from inference.settings import ReconstructOptions
 from models import find_checkpoint
 from physconvex import ConvergenceError, InputError
@@ -102,6 +103,8 @@ def refine(
         )
     reconstruction = ReconstructOptions(device=options.device)
     capture = with_rest_geometry(capture, body=options.body, out=folder, options=reconstruction, on_stage=on_stage)
+    if capture.body is not None and folder is not None and options.body is None and options.field_file is None:
+        options = options.replace(field_file=str(folder / RECONSTRUCTION / FIELD) if options.field else None)
     settings = {name: value for name, value in options.to_json().items() if name not in _WHERE}
     if capture.body is not None:
         settings["body"] = capture.body.identifier_hash

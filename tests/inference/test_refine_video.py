@@ -1,10 +1,12 @@
 """From a made video of one camera, without tracks, to E; the mask's outline beside the followed points."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from inference import RefineOptions, refine, write_refinement
@@ -179,3 +181,33 @@ def test_a_camera_that_is_not_there_is_named(folder):
         refine(folder, options=RefineOptions(cameras=("side",), start="scan", **FEW))
     with pytest.raises(InputError, match=r"tracks\.npz"):
         refine(folder, options=RefineOptions(observations="tracks", start="scan", **FEW))
+
+
+@pytest.mark.slow
+def test_pictures_alone_give_the_modulus(motion, tmp_path):
+    """No mesh: frame 0 from ten sides, then one video. The body, its motion and E come from the pictures."""
+    images_only = filmed(tmp_path / "seen", motion[::FINER])
+    for name in ("mesh.obj", "tets.npz"):
+        (images_only / name).unlink()
+    content = json.loads((images_only / "capture.json").read_text())
+    centre = REST.mean(axis=0)
+    for k in range(9):
+        angle, up = 2 * np.pi * k / 9, (0.0, 0.6, -0.4)[k % 3]
+        way = np.array([np.cos(angle) * np.cos(up), np.sin(angle) * np.cos(up), np.sin(up)])
+        camera = look_at(way + centre, centre, width=160, height=160, vertical_field_of_view=0.42, name=f"s{k}")
+        hits = cast_camera_rays(camera, motion[0], FACES)
+        paint = texture(np.nan_to_num(hits.on(REST, FACES))).clip(0, 255)
+        alpha = np.where(hits.faces >= 0, 255.0, 0.0)
+        rgba = np.concatenate([paint, alpha[..., None]], axis=-1).astype(np.uint8)
+        Image.fromarray(rgba).save(images_only / f"{camera.name}.png")
+        content["cameras"].append(camera.to_json())
+    (images_only / "capture.json").write_text(json.dumps(content))
+    stages: list[str] = []
+    start = {"log10_youngs_modulus": 4.1, "poisson_ratio": 0.3}
+    options = RefineOptions(initial=start, **FEW, field=False)
+    found = refine(images_only, out=tmp_path / "out", options=options, on_stage=lambda name, _: stages.append(name))
+    assert stages[0] == "reconstruction"
+    body = trimesh.load(tmp_path / "out" / "reconstruction" / "body.ply")
+    assert body.volume == pytest.approx(0.3 * 0.2 * 0.1, rel=0.04)
+    assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.1)
+    assert found["poisson_ratio"].value == pytest.approx(TRUTH["poisson_ratio"], abs=0.1)

@@ -28,12 +28,12 @@ def observations_of(capture: Capture, twin: Twin) -> Seen:
         seen = marker_observations(capture, frames=capture.frames)
         _check_on_body(capture, seen.points, twin.mesh)
         return seen
-    if not capture.cameras:
+    if not capture.recorded:
         raise InputError(
             f"{capture.folder}: no tracks.npz and no cameras; expected marker tracks (rest, positions, sigma) or a "
             "camera in capture.json with its video"
         )
-    return followed(capture, capture.cameras[0], twin)
+    return followed(capture, capture.recorded[0], twin)
 
 
 def followed(capture: Capture, camera: Camera, twin: Twin) -> PixelObservations:

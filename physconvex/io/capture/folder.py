@@ -100,6 +100,21 @@ class Capture:
         """The cameras with moving images; the others may have masks alone, or one picture of frame 0."""
         return tuple(camera for camera in self.cameras if any(map(_is_there, self._pictures(camera.name))))
 
+    @property
+    def recorded(self) -> tuple[Camera, ...]:
+        """The cameras that recorded the motion: all but those with one picture of frame 0 alone."""
+        return tuple(camera for camera in self.cameras if camera in self.filmed or not self._still(camera.name))
+
+    @property
+    def pictured(self) -> tuple[Camera, ...]:
+        """The cameras with a picture of frame 0: from a video, or alone."""
+        return tuple(camera for camera in self.cameras if camera in self.filmed or self._still(camera.name))
+
+    def _still(self, camera: str) -> Path | None:
+        """The one picture of frame 0 of a camera."""
+        paths = (self.folder / f"{camera}{suffix}" for suffix in IMAGE_SUFFIXES)
+        return next((path for path in paths if _is_there(path)), None)
+
     def _pictures(self, camera: str) -> tuple[Path, Path]:
         """Possible paths of its images: a video, a folder."""
         return self.folder / f"{camera}.mp4", self.folder / camera
@@ -131,12 +146,12 @@ class Capture:
             InputError: see `video`; a picture of another size than the camera's.
         """
         size = self.camera(camera)
-        found = [path for path in (self.folder / f"{camera}{suffix}" for suffix in IMAGE_SUFFIXES) if _is_there(path)]
-        if not found:
+        path = self._still(camera)
+        if path is None:
             video = self.video(camera)
             return video.frames[0], None if video.alpha is None else video.alpha[0]
-        rgba = read_image(found[0])
-        _check_frames(found[0], (self.frames, *rgba.shape[:2]), (self.frames, size.h, size.w))
+        rgba = read_image(path)
+        _check_frames(path, (self.frames, *rgba.shape[:2]), (self.frames, size.h, size.w))
         return rgba[..., :3], None if rgba[..., 3].min() == 255 else rgba[..., 3]
 
     def first_mask(self, camera: str) -> Bool[np.ndarray, "H W"] | None:
