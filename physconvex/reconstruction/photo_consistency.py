@@ -125,7 +125,7 @@ def _correlations(
     scores = np.full((len(vertices), len(offsets)), np.nan)
     for column, offset in enumerate(offsets):
         places = (vertices + offset * normals)[:, None] + patches
-        colours = torch.zeros(len(vertices), VIEWS, patches.shape[1], 3)
+        colours = torch.zeros(*order.shape, patches.shape[1], 3)
         for number, seen in enumerate(observations):
             rows, slots = np.nonzero((order == number) & used.numpy())
             colours[rows, slots] = _sampled(seen, places[rows])
