@@ -132,8 +132,8 @@ def _unexplained(
 def _zero_level(distance: Float[np.ndarray, "n n n"], origin: np.ndarray, cell: float) -> trimesh.Trimesh:
     """Zero level of a lattice of distances: the regions that count, without cavities, which no picture shows."""
     body = binary_fill_holes(_counting(distance < 0))
-    near = np.clip(np.abs(distance), 0.05 * cell, None)
-    distance = np.pad(np.where(body == (distance < 0), distance, np.where(body, -near, near)), 1, constant_values=cell)
+    away = np.maximum(np.abs(distance), 0.01 * cell)  # a level through a point of the lattice has flat triangles
+    distance = np.pad(np.where(body, -away, away), 1, constant_values=cell)
     image = pv.ImageData(dimensions=distance.shape, spacing=[cell] * 3, origin=origin - cell)
     level = image.contour([0.0], scalars=distance.ravel(order="F"), method="flying_edges")
     surface = trimesh.Trimesh(level.points.astype(np.float64), level.regular_faces, process=False)

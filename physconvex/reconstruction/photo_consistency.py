@@ -140,7 +140,7 @@ def _correlations(
 def _patches(normals: Float[np.ndarray, "V 3"], pixel: float) -> Float[np.ndarray, "V P 3"]:
     """Squares of points in the tangent planes, a pixel [m] apart, about the origin."""
     across = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)  # a vertex of flat triangles has none
     along = np.cross(normals, across)
     steps = pixel * np.arange(-PATCH, PATCH + 1)
     first, second = (grid.ravel()[None, :, None] for grid in np.meshgrid(steps, steps))
