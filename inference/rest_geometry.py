@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from inference.reconstruction import reconstruct
+from inference.reconstruction import RESULT, reconstruct
 from inference.settings import ReconstructOptions
 from physconvex import InputError
 from physconvex.io import Capture, read_mesh
@@ -53,7 +53,7 @@ def with_rest_geometry(
         )
     folder = None if out is None else out / RECONSTRUCTION
     if on_stage is not None:
-        on_stage("reconstruction", folder is not None and (folder / "reconstruction.json").exists())
+        on_stage("reconstruction", folder is not None and (folder / RESULT).exists())
     found = reconstruct(capture.folder, out=folder, options=options)
     if found.body is None:
         raise InputError(

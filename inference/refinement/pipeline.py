@@ -103,11 +103,12 @@ def refine(
         )
     reconstruction = ReconstructOptions(device=options.device)
     capture = with_rest_geometry(capture, body=options.body, out=folder, options=reconstruction, on_stage=on_stage)
-    if capture.body is not None and folder is not None and options.body is None and options.field_file is None:
-        options = options.replace(field_file=str(folder / RECONSTRUCTION / FIELD) if options.field else None)
     settings = {name: value for name, value in options.to_json().items() if name not in _WHERE}
     if capture.body is not None:
         settings["body"] = capture.body.identifier_hash
+    reconstructed = capture.body is not None and options.body is None
+    if reconstructed and folder is not None and options.field and options.field_file is None:
+        options = options.replace(field_file=str(folder / RECONSTRUCTION / FIELD))
     stages = Stages(folder, key_of(capture.folder, settings), on_stage)
     with Workers(options.processes) as workers:
         return _refined(RefinementRun(capture, options, stages, workers, warnings))

@@ -8,7 +8,7 @@ import numpy as np
 import pyvista as pv
 import trimesh
 from jaxtyping import Float
-from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from physconvex.errors import InputError
 from physconvex.reconstruction.observation import Observation
@@ -56,18 +56,12 @@ def footprint(observations: Sequence[Observation]) -> float:
 def hull_distance(observations: Sequence[Observation], positions: Float[np.ndarray, "Q 3"]) -> Float[np.ndarray, " Q"]:
     """Signed distance [m] of positions from the visual hull, negative inside.
 
-    The greatest, over the views, of the distance in the picture to the silhouette's edge at the position's depth. The
-    edge is where the coverage is one half, between the pixels where that is known.
+    The greatest, over the views, of the distance in the picture to the silhouette's edge at the position's depth.
     """
     greatest = np.full(len(positions), -np.inf)
     for seen in observations:
-        coverage = seen.coverage.numpy()
-        inside = coverage > 0.5
-        pixels = distance_transform_edt(~inside) - distance_transform_edt(inside) + np.where(inside, 0.5, -0.5)
-        mixed = (np.abs(pixels) < 0.75) & (coverage > 0.02) & (coverage < 0.98)
-        edge = np.where(mixed, 0.5 - coverage, pixels)
         place, depth = seen.camera.project(positions)
-        found = map_coordinates(edge, (place - 0.5).T[::-1], order=1, mode="nearest")
+        found = map_coordinates(seen.edge_distance, (place - 0.5).T[::-1], order=1, mode="nearest")
         away = found * depth / np.sqrt(seen.camera.fl_x * seen.camera.fl_y)
         greatest = np.maximum(greatest, np.where(depth > 0, away, np.inf))
     return greatest
@@ -94,11 +88,21 @@ def visual_hull(observations: Sequence[Observation], *, cells: int = CELLS) -> t
     if not inside.any():
         raise InputError(f"masks: no point in space projects into all {len(observations)} of them; {REMEDY}")
     smooth = gaussian_filter(np.pad(inside, 1).astype(np.float32), 0.7)
-    image = pv.ImageData(
-        dimensions=smooth.shape, spacing=[steps[1] - steps[0]] * 3, origin=centre - half - steps[1] + steps[0]
-    )
-    surface = image.contour([0.5], scalars=smooth.ravel(order="F"), method="flying_edges")
-    mesh = trimesh.Trimesh(surface.points, surface.regular_faces, process=False)
-    if mesh.volume < 0:
-        mesh.invert()
-    return mesh
+    return level_surface(smooth, 0.5, origin=centre - half - steps[1] + steps[0], cell=steps[1] - steps[0])
+
+
+def level_surface(
+    values: Float[np.ndarray, "n n n"], level: float, *, origin: Float[np.ndarray, " 3"], cell: float
+) -> trimesh.Trimesh:
+    """Outward oriented surface [m] where values on a lattice reach a level; closed if none at the border does.
+
+    Args:
+        origin: place of the first value [m].
+        cell: distance between neighbours [m].
+    """
+    image = pv.ImageData(dimensions=values.shape, spacing=[cell] * 3, origin=origin)
+    found = image.contour([level], scalars=values.ravel(order="F"), method="flying_edges")
+    surface = trimesh.Trimesh(found.points, found.regular_faces, process=False)
+    if surface.volume < 0:
+        surface.invert()
+    return surface

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import pyvista as pv
 import torch
 import trimesh
 from jaxtyping import Bool, Float
@@ -18,7 +17,7 @@ from scipy.ndimage import binary_fill_holes, label, minimum_filter
 
 from physconvex.convex import ConvexField
 from physconvex.errors import InputError
-from physconvex.reconstruction.carving import REMEDY, footprint, hull_distance, object_box
+from physconvex.reconstruction.carving import REMEDY, footprint, hull_distance, level_surface, object_box
 from physconvex.reconstruction.observation import Observation
 from physconvex.reconstruction.photo_consistency import colours_seen, moved_to_agreement, nearest_pixels
 from physconvex.render import render
@@ -134,9 +133,4 @@ def _zero_level(distance: Float[np.ndarray, "n n n"], origin: np.ndarray, cell: 
     body = binary_fill_holes(_counting(distance < 0))
     away = np.maximum(np.abs(distance), 0.01 * cell)  # a level through a point of the lattice has flat triangles
     distance = np.pad(np.where(body, -away, away), 1, constant_values=cell)
-    image = pv.ImageData(dimensions=distance.shape, spacing=[cell] * 3, origin=origin - cell)
-    level = image.contour([0.0], scalars=distance.ravel(order="F"), method="flying_edges")
-    surface = trimesh.Trimesh(level.points.astype(np.float64), level.regular_faces, process=False)
-    if surface.volume < 0:
-        surface.invert()
-    return surface
+    return level_surface(distance, 0.0, origin=origin - cell, cell=cell)

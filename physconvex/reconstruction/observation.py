@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
+from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from physconvex.convex import ConvexField
@@ -45,6 +47,18 @@ class Observation:
         """The observation of `function(map)`, by another camera if one is given."""
         maps = map(function, (self.image, self.background, self.coverage))
         return Observation(camera or self.camera, *maps)
+
+    @cached_property
+    def edge_distance(self) -> Float[np.ndarray, "H W"]:
+        """Signed distance of each pixel from the silhouette's edge [pixels], negative inside; on the CPU.
+
+        The edge is where the coverage is one half, between the pixels where that is known.
+        """
+        coverage = self.coverage.numpy()
+        inside = coverage > 0.5
+        pixels = distance_transform_edt(~inside) - distance_transform_edt(inside) + np.where(inside, 0.5, -0.5)
+        mixed = (np.abs(pixels) < 0.75) & (coverage > 0.02) & (coverage < 0.98)
+        return np.where(mixed, 0.5 - coverage, pixels)
 
     def to(self, device: torch.device | str) -> Observation:
         """The observation on another device."""

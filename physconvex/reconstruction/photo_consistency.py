@@ -45,19 +45,20 @@ def moved_to_agreement(
         surface: closed, outward oriented [m], with edges of about one cell.
         cell: its accuracy [m].
     """
+    edges = surface.edges_unique
+    means = _neighbour_means(edges, len(surface.vertices))
     for turn in range(ROUNDS):
         normals, vertices = np.asarray(surface.vertex_normals), np.asarray(surface.vertices)
         offsets = FIRST_REACH * cell * NARROWER**turn * np.arange(-STEPS, STEPS + 1) / STEPS
         cosines = _cosines(surface, observations, cell)
         views = (cosines > 0).sum(axis=1)
-        edges = surface.edges_unique
-        offset, certain = _best_offsets(_correlations(surface, observations, cosines, offsets), offsets, edges)
+        offset, certain = _best_offsets(_correlations(surface, observations, cosines, offsets), offsets, means)
         beyond = hull_distance(observations, vertices)
         rim = (np.abs(beyond) < RIM * cell) & (views > 0)
         held = np.where(rim, ON_RIM, np.where(views < 2, UNSEEN, UNSURE))
         kept = vertices - np.maximum(beyond, 0)[:, None] * normals
         wanted = held[:, None] * kept + certain[:, None] * (vertices + offset[:, None] * normals)
-        stiffness = sparse.diags(held + certain) + _smoothness(edges, views < 2)
+        stiffness = sparse.diags(held + certain) + _smoothness(edges, means, views < 2)
         surface = trimesh.Trimesh(splu(stiffness.tocsc()).solve(wanted), surface.faces, process=False)
     return surface
 
@@ -148,17 +149,16 @@ def _patches(normals: Float[np.ndarray, "V 3"], pixel: float) -> Float[np.ndarra
 
 
 def _best_offsets(
-    scores: Float[np.ndarray, "V S"], offsets: Float[np.ndarray, " S"], edges: Int[np.ndarray, "E 2"]
+    scores: Float[np.ndarray, "V S"], offsets: Float[np.ndarray, " S"], means: sparse.spmatrix
 ) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, " V"]]:
     """Offset [m] of the best correlation, and how certain it is, 0 to 1.
 
     The best place at the outer end says nothing; that at the inner end says that the surface lies farther inside.
     """
     known = np.isfinite(scores).all(axis=1)
-    mean = _neighbour_means(edges, len(scores))
     shared, weight = np.where(known[:, None], scores, 0.0), known.astype(float)
     for _ in range(SHARED):
-        shared, weight = 0.5 * (shared + mean @ shared), 0.5 * (weight + mean @ weight)
+        shared, weight = 0.5 * (shared + means @ shared), 0.5 * (weight + means @ weight)
     shared /= np.maximum(weight, 1e-6)[:, None]
     rows, best = np.arange(len(scores)), shared.argmax(axis=1)
     middle = np.clip(best, 1, len(offsets) - 2)
@@ -170,9 +170,11 @@ def _best_offsets(
     return np.interp(place, np.arange(len(offsets)), offsets), certain
 
 
-def _smoothness(edges: Int[np.ndarray, "E 2"], unseen: Bool[np.ndarray, " V"]) -> sparse.spmatrix:
+def _smoothness(
+    edges: Int[np.ndarray, "E 2"], means: sparse.spmatrix, unseen: Bool[np.ndarray, " V"]
+) -> sparse.spmatrix:
     """Bending of the seen part, and a membrane over the edges of the rest, [V, V]."""
-    bent = sparse.diags(np.where(unseen, 0.1, 1.0)) @ (sparse.eye(len(unseen)) - _neighbour_means(edges, len(unseen)))
+    bent = sparse.diags(np.where(unseen, 0.1, 1.0)) @ (sparse.eye(len(unseen)) - means)
     across = _differences(edges[unseen[edges].any(axis=1)], len(unseen))
     return BENDING * bent.T @ bent + MEMBRANE * across.T @ across
 

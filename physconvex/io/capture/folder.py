@@ -98,17 +98,21 @@ class Capture:
     @property
     def filmed(self) -> tuple[Camera, ...]:
         """The cameras with moving images; the others may have masks alone, or one picture of frame 0."""
-        return tuple(camera for camera in self.cameras if any(map(_is_there, self._pictures(camera.name))))
+        return tuple(camera for camera in self.cameras if self._moves(camera.name))
 
     @property
     def recorded(self) -> tuple[Camera, ...]:
         """The cameras that recorded the motion: all but those with one picture of frame 0 alone."""
-        return tuple(camera for camera in self.cameras if camera in self.filmed or not self._still(camera.name))
+        return tuple(camera for camera in self.cameras if self._moves(camera.name) or not self._still(camera.name))
 
     @property
     def pictured(self) -> tuple[Camera, ...]:
         """The cameras with a picture of frame 0: from a video, or alone."""
-        return tuple(camera for camera in self.cameras if camera in self.filmed or self._still(camera.name))
+        return tuple(camera for camera in self.cameras if self._moves(camera.name) or self._still(camera.name))
+
+    def _moves(self, camera: str) -> bool:
+        """Whether a camera has a video, or a folder of images."""
+        return any(map(_is_there, self._pictures(camera)))
 
     def _still(self, camera: str) -> Path | None:
         """The one picture of frame 0 of a camera."""
