@@ -54,7 +54,10 @@ def second_take(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def diagnosed(capture, second_take, tmp_path_factory):
-    """The command's output folder; the fine mesh, which the command line does not offer, has few nodes."""
+    """The command's output folder, of a capture whose rest geometry is given apart.
+
+    The fine mesh, which the command line does not offer, has few nodes.
+    """
     from inference.diagnosis_command import diagnose_command
     from physconvex.gap import diagnosis
 
@@ -63,7 +66,18 @@ def diagnosed(capture, second_take, tmp_path_factory):
 
     app, out = typer.Typer(), tmp_path_factory.mktemp("diagnosed")
     app.command()(diagnose_command)
-    arguments = [str(capture), "--second-take", str(second_take), "--out", str(out), "--no-progress"]
+    bare = shutil.copytree(capture, tmp_path_factory.mktemp("bare") / "block")
+    (bare / "mesh.obj").unlink()
+    arguments = [
+        str(bare),
+        "--body",
+        str(capture / "mesh.obj"),
+        "--second-take",
+        str(second_take),
+        "--out",
+        str(out),
+        "--no-progress",
+    ]
     arguments += ["--max-nodes", "60"]
     arguments += ["--candidates", "2", "--effects", "friction,gravity_tilt,air_drag,damping"]
     with pytest.MonkeyPatch.context() as patch:

@@ -90,6 +90,25 @@ def test_a_convex_field_moves_with_its_body(field_file, tmp_path):
     np.testing.assert_allclose(np.sort(offsets[0]), np.sort(expected.offsets.numpy()), atol=1e-5)
 
 
+def test_a_reconstruction_moves_as_its_closed_surface_and_takes_the_field_along(field_file, tmp_path):
+    folder, out = tmp_path / "reconstruction", tmp_path / "played"
+    folder.mkdir()
+    write_ply(read_ply(field_file), folder / "field.ply")
+    trimesh.creation.box((0.35, 0.2, 0.2)).apply_translation((0.075, 0, 0)).export(folder / "body.ply")
+    (folder / "reconstruction.json").write_text("{}")
+    fast = settings("object.drop_height=0.2", "time.frames=4", "basis.mesher=lattice")
+    result = CliRunner().invoke(app, [str(folder), "--out", str(out), "--json", *fast])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["mass_kg"] == pytest.approx(1000 * 0.35 * 0.2 * 0.2, rel=0.01)
+    with np.load(out / "trajectory.npz") as arrays:
+        positions = arrays["positions"]
+    assert len(positions[0]) == 8 and positions[0, :, 2].min() == pytest.approx(0.2)
+    fields = [read_ply(path) for path in sorted((out / "convexes").iterdir())]
+    falls = (positions[0] - positions[-1])[:, 2].mean(), (fields[0].centres - fields[-1].centres)[:, 2].mean()
+    assert falls[1].item() == pytest.approx(falls[0], rel=1e-4)  # the field goes with the body
+    assert falls[0] == pytest.approx(0.5 * 9.81 * 0.125**2, rel=0.02)  # of few time steps
+
+
 def test_a_refinement_brings_its_surface_and_material(cubes, tmp_path):
     surface, folder = read_surface(cubes[0]), tmp_path / "refined"
     folder.mkdir()
