@@ -200,10 +200,11 @@ def reconstruct(
     if state is None:
         state = begin(start_field(views.training, config, mesh=mesh, points=given))
     state = _fit_and_store(state.to(place), views, config, folder=folder, claim=claim, on_step=on_step)
-    field = _closed(state, body_surface(kind, views.training, mesh), config)
+    field = state.field().to("cpu")
     clock = time.perf_counter()
     body = _body(field, views)
     body_seconds = time.perf_counter() - clock
+    field = _filled(field, state, body or body_surface(kind, views.training, mesh), config)
     trained, tested = (score_views(field.to(place), part) for part in (views.training, views.held_out))
     training, held_out = (tuple(one for one, _ in part) for part in (trained, tested))
     result = Reconstruction(
@@ -216,13 +217,14 @@ def reconstruct(
     return result
 
 
-def _closed(state: FitState, surface: trimesh.Trimesh | None, config: ReconstructionConfig) -> ConvexField:
-    """The fitted field on the CPU, its gaps filled with the remaining budget."""
-    field = state.field().to("cpu")
+def _filled(
+    field: ConvexField, state: FitState, surface: trimesh.Trimesh | None, config: ReconstructionConfig
+) -> ConvexField:
+    """The field with the inside of the surface filled by the remaining budget."""
     if surface is None or not config.gap_share:
         return field
     clock = time.perf_counter()
-    field = fill_gaps(field, surface, footprint=state.footprint, most=config.budget - len(field))
+    field = fill_gaps(field, surface, footprint=state.footprint, budget=config.budget)
     state.seconds += time.perf_counter() - clock
     return field
 

@@ -18,7 +18,12 @@ from .motion import (
     space_map as space_map,
     tet_map as tet_map,
 )
-from .solidity import inside_union as inside_union, occupancies as occupancies, union_volume as union_volume
+from .solidity import (
+    inside_union as inside_union,
+    occupancies as occupancies,
+    union_samples as union_samples,
+    union_volume as union_volume,
+)
 from .spherical_harmonics import (
     coefficients_of_colour as coefficients_of_colour,
     harmonic_basis as harmonic_basis,

@@ -50,14 +50,25 @@ def _carried(field: ConvexField, points: Tensor, gradients: Float[Tensor, "N 3 3
 
 
 def polar_rotation(gradients: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N 3 3"]:
-    """The rotations R of F = R U (polar decomposition), by F = V Σ Wᵀ, R = V diag(1, 1, det V det W) Wᵀ.
+    """The rotations R of F = R S (polar decomposition), by F = V Σ Wᵀ, R = V diag(1, 1, det V det W) Wᵀ.
 
-    The nearest rotation, also if F inverts the body.
+    The nearest rotation, also if F inverts the body. Differentiable once, also where singular values are equal (as at
+    rest): Ṙ = R [ω]ₓ with (tr S − S) ω the axial vector of Rᵀ Ḟ − Ḟᵀ R.
     """
-    left, _, right = torch.linalg.svd(gradients)
+    given = gradients.detach()
+    left, _, right = torch.linalg.svd(given)
     sign = torch.det(left @ right).sign()
     flip = torch.stack([torch.ones_like(sign), torch.ones_like(sign), sign], dim=-1)
-    return (left * flip[:, None]) @ right
+    rotation = (left * flip[:, None]) @ right
+    stretch = rotation.mT @ given
+    inertia = stretch.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None] * torch.eye(3).to(given) - stretch
+    change = rotation.mT @ gradients  # symmetric at the given gradients
+    skew = change - change.mT
+    axial = torch.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], dim=1)
+    x, y, z = (torch.linalg.pinv(inertia) @ axial[..., None])[..., 0].unbind(dim=1)
+    zero = torch.zeros_like(x)
+    turn = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=1).reshape(-1, 3, 3)
+    return rotation + rotation @ turn
 
 
 @dataclass(frozen=True, eq=False)

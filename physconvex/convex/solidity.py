@@ -1,4 +1,4 @@
-"""Solid region of convexes: membership of points in the union of the hulls, and occupancy of that union."""
+"""Solid region of convexes: membership of points in the union of the hulls, its samples, occupancy of that union."""
 
 from __future__ import annotations
 
@@ -6,11 +6,15 @@ from collections.abc import Iterator
 
 import numpy as np
 import torch
+import trimesh
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from physconvex.convex.field import ConvexField, numbers
 from physconvex.convex.halfspaces import HalfSpaces, half_spaces
+from physconvex.errors import InputError
+from physconvex.fem import SurfacePoints
+from physconvex.reduced import BodySamples, Cubature, Shell
 
 PAIRS = 400_000  # point-convex pairs evaluated at once
 LARGEST = (30, 300, 2000)  # convexes tested, one set after the other
@@ -48,6 +52,52 @@ def union_volume(field: ConvexField, *, cells: int = 64) -> float:
     ticks = (np.arange(cells) + 0.5) / cells
     grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
     return float(inside_union(field, low + extent * grid).mean() * extent.prod())
+
+
+def union_samples(
+    field: ConvexField | None, surface: trimesh.Trimesh, *, cells: int = 80, interior: int = 2000, contacts: int = 600
+) -> BodySamples:
+    """Samples of the solid that a field's hulls fill within the closed surface of the body, without a mesh.
+
+    Soft edges reach beyond the surface, so that it bounds the solid; overlaps count once. Membership is tested at the
+    centres of a lattice, of `cells` along the longest edge; half a box from a hull counts, which closes gaps that are
+    narrower than the lattice. The centres integrate the mass. The energy is integrated over the
+    means of the centres within the boxes of a coarser lattice, each with their volume. Contact acts on the surface.
+
+    Args:
+        field: convexes at rest [m]; None takes all of the surface's inside, for convexes without a volume.
+        surface: closed, outward faces [m].
+        interior: about how many samples integrate the energy.
+        contacts: about how many points of the surface can touch.
+
+    Raises:
+        InputError: the hulls fill nothing of the surface's inside.
+    """
+    low, extent = surface.bounds[0], np.ptp(surface.bounds, axis=0)
+    edge = float(extent.max()) / cells
+    ticks = [low[k] + edge * (np.arange(int(np.ceil(extent[k] / edge))) + 0.5) for k in range(3)]
+    points = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = points[np.asarray(surface.contains(points))]
+    if field is not None and len(points):
+        points = points[inside_union(field, points, margin=0.5 * edge)]
+    if len(points) < 8:
+        raise InputError(
+            f"field: its hulls fill {len(points)} of the {cells}³ boxes inside the surface; expected the field of this "
+            "body, in the same frame, with convexes that have a volume"
+        )
+    coarse = edge * (len(points) / min(interior, len(points))) ** (1 / 3)
+    _, owners = np.unique(np.floor((points - low) / coarse).astype(np.int64), axis=0, return_inverse=True)
+    owners = owners.ravel()
+    counts = np.bincount(owners)
+    means = np.stack([np.bincount(owners, points[:, k]) for k in range(3)], axis=1) / counts[:, None]
+    touching = SurfacePoints.of_triangles(np.asarray(surface.vertices), np.asarray(surface.faces), count=contacts)
+    return BodySamples(
+        interior=Cubature(means, counts * edge**3, np.arange(len(means)), len(means)),
+        mass=Cubature(points, np.full(len(points), edge**3), owners, len(means)),
+        surface_points=touching.points,
+        surface_areas=touching.areas,
+        shell=Shell(np.asarray(surface.vertices), np.asarray(surface.faces)),
+    )
 
 
 def occupancies(

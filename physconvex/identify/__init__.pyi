@@ -5,6 +5,7 @@ from .colours import (
     colour_seeds as colour_seeds,
     seen_by as seen_by,
 )
+from .convexes import Basis as Basis, convex_twin as convex_twin
 from .correction import (
     FULL_OPTIONS as FULL_OPTIONS,
     Correction as Correction,
@@ -48,6 +49,7 @@ from .parameters import (
     lower_bounds as lower_bounds,
     upper_bounds as upper_bounds,
 )
+from .photometric import PhotometricObservations as PhotometricObservations, background_of as background_of
 from .point_models import (
     CorrectedModel as CorrectedModel,
     LinearModel as LinearModel,

@@ -295,13 +295,18 @@ def enriched(twin: Twin, nodes: Float[np.ndarray, "T V 3"]) -> Twin:
 
 def with_weights(twin: Twin, weights: WeightField) -> Twin:
     """The twin with other skinning weights, starting at rest; everything else stays."""
-    old = twin.scene.body
     interpolated = twin.clamp is not None and isinstance(weights, NodalWeights)  # as `base_twin` does
-    body = old.with_space(ReducedSpace(weights, BodySamples.of_mesh(twin.mesh), interpolated=interpolated))
+    samples = BodySamples.of_mesh(twin.mesh)
+    return with_body(twin, twin.scene.body.with_space(ReducedSpace(weights, samples, interpolated=interpolated)))
+
+
+def with_body(twin: Twin, body: ReducedBody) -> Twin:
+    """The twin with another reduced body, starting at rest where it was; everything else stays."""
+    old = twin.scene.body
     position = old.first_moments @ twin.scene.start / old.total_mass
+    expected = old.first_moments @ old.rest / old.total_mass
     moved = twin.with_scene(body=body, initial_coordinates=None)
-    rest = body.first_moments @ moved.scene.start / body.total_mass
-    if np.abs(position - rest).max() < 1e-12:
+    if np.abs(position - expected).max() < 1e-12:
         return moved
-    names = tuple(f"initial_position_{axis}" for axis in "xyz")
-    return moved.with_values(names, position)
+    rest = body.first_moments @ moved.scene.start / body.total_mass
+    return moved.with_values([f"initial_position_{axis}" for axis in "xyz"], rest + position - expected)

@@ -19,8 +19,10 @@ LONGEST = 112  # cells along the longest edge of the body at most
 BLOCK = 200_000  # cells processed together
 
 
-def fill_gaps(field: ConvexField, surface: trimesh.Trimesh, *, footprint: float, most: int) -> ConvexField:
-    """The field with at most `most` additional convexes in the parts of a surface's inside that no hull covers.
+def fill_gaps(field: ConvexField, surface: trimesh.Trimesh, *, footprint: float, budget: int) -> ConvexField:
+    """The field with additional convexes, up to `budget`, in the parts of a surface's inside that no hull covers.
+
+    They take the place of convexes that are not drawn already (the fillers of another surface).
 
     The body is divided into cells of two footprints. Cells whose middle is in no hull (nor within a quarter of a
     footprint of one) are joined to boxes, which may extend over other cells of the inside. The largest are cut into
@@ -31,8 +33,11 @@ def fill_gaps(field: ConvexField, surface: trimesh.Trimesh, *, footprint: float,
         surface: of the body, outward faces [m].
         footprint: size of a pixel at the object [m].
     """
-    if field.points.shape[1] < WEDGES.shape[1] or most < 2:
+    drawn = field.select(field.opacity > 2 * UNPAINTED)
+    most = budget - len(drawn)
+    if field.points.shape[1] < WEDGES.shape[1] or most < 2 or not len(drawn):
         return field
+    field = drawn
     low, size = surface.bounds[0], float(np.ptp(surface.bounds, axis=0).max())
     edge = max(CELL * footprint, size / LONGEST)
     shape, middles = lattice_cells(surface, edge)

@@ -1,0 +1,90 @@
+"""The convex twin: a body sampled within the hulls of its convex field, moved by skinning weights, without a mesh.
+
+The samples of the solid (`physconvex.convex.union_samples`) carry mass and energy; the surface carries the contact. The
+weights W^θ may come from vibration modes and contact responses, from eigenmodes, from the data-free training of the
+paper's eq. 4, or from a network's prediction. A mesh of few nodes serves only to find the modes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal, get_args
+
+import numpy as np
+import torch
+import trimesh
+
+from physconvex.convex import ConvexField, union_samples
+from physconvex.errors import InputError
+from physconvex.identify.twin import Twin, smooth_weights, with_body
+from physconvex.reduced import (
+    BodySamples,
+    NeuralFieldOptions,
+    NodalWeights,
+    ReducedBody,
+    ReducedSpace,
+    WeightField,
+    train_neural_weights,
+    with_elastic_weights,
+)
+
+Basis = Literal["elastic", "eigenmodes", "neural"]
+_SOLID = 6  # points of a convex with which the inside of a body can be filled
+
+
+def convex_twin(
+    twin: Twin,
+    field: ConvexField,
+    basis: Basis | WeightField = "elastic",
+    *,
+    weights: int = 20,
+    moving: Twin | None = None,
+) -> Twin:
+    """The twin with its body replaced by the solid of a convex field; everything else stays.
+
+    Args:
+        twin: the base twin; its surface must be closed.
+        field: convexes of the body at rest [m], whose gaps are filled; fields of fewer than six points per convex give
+            the surface's inside.
+        basis: the skinning weights: `elastic` (vibration modes and responses to contacts, see
+            `physconvex.reduced.with_elastic_weights`), `eigenmodes`, `neural` (trained on the body alone), or given.
+        weights: number M of the weights, if they are not given.
+        moving: the twin whose motion shows the contacts; this one unless given.
+
+    Raises:
+        InputError: an open surface, hulls that fill nothing of it, an unknown basis.
+        ConvergenceError: the motion that shows the contacts cannot be computed.
+    """
+    surface = trimesh.Trimesh(*twin.surface, process=False)
+    if not surface.is_watertight:
+        raise InputError("convex twin: the body's surface is open; expected a closed one, such as body.ply")
+    samples = union_samples(field if field.points.shape[1] >= _SOLID else None, surface)
+    found = _weights(moving or twin, samples, basis, weights) if isinstance(basis, str) else basis
+    space = ReducedSpace(found, samples, interpolated=isinstance(found, NodalWeights))
+    body = twin.scene.body
+    modulus, ratio, density = (float(v[0]) for v in (body.youngs_modulus, body.poisson_ratio, body.density))
+    solid = ReducedBody(
+        space, law=body.law, flow=body.flow, youngs_modulus=modulus, poisson_ratio=ratio, density=density
+    )
+    return with_body(twin, solid)
+
+
+def _weights(twin: Twin, samples: BodySamples, basis: Basis, count: int) -> WeightField:
+    """Skinning weights of a body.
+
+    Raises:
+        InputError: an unknown basis.
+        ConvergenceError: the motion that gives the contacts cannot be computed.
+    """
+    if basis not in get_args(Basis):
+        raise InputError(f"basis: got {basis!r}; expected one of {', '.join(get_args(Basis))}")
+    if basis == "neural":
+        generator = torch.Generator().manual_seed(0)
+        ratio = float(np.mean(twin.scene.body.poisson_ratio))
+        return train_neural_weights(
+            samples, count, generator=generator, poisson_ratio=ratio, options=NeuralFieldOptions()
+        )
+    if basis == "eigenmodes":
+        return smooth_weights(twin.mesh, count, twin.clamp)
+    timing = replace(twin.timing(), frames=twin.capture.observed_frames)
+    return with_elastic_weights(twin.scene, twin.mesh, count, timing).body.space.field
