@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from inference import with_rest_geometry
 from physconvex.fem import SurfacePoints
 from physconvex.identify import FullModel, Twin, TwinOptions, base_twin
 from physconvex.io import load_capture
@@ -92,7 +93,8 @@ def rows_of(folder: Path, name: str, meshes: Meshes, labels: Sequence[str], node
     stated = json.loads((folder / "truth" / name / "truth.json").read_text(encoding="utf-8"))
     with np.load(folder / "truth" / name / "points.npz", allow_pickle=False) as archive:
         rest, truth = archive["rest"], archive["positions"][:FRAMES]
-    twin = base_twin(load_capture(folder / "captures" / name), TwinOptions(weights=4, steps_per_frame=STEPS))
+    capture = with_rest_geometry(load_capture(folder / "captures" / name), body=folder / "truth" / name / "mesh.ply")
+    twin = base_twin(capture, TwinOptions(weights=4, steps_per_frame=STEPS))
     true = [np.log10(stated["youngs_modulus"]), stated["poisson_ratio"], stated["damping_time"]]
     twin = twin.with_values(NAMES, np.array(true))
     surface, points = twin.surface, SurfacePoints.of_triangles(*twin.surface)

@@ -1,9 +1,10 @@
 """The benchmark of `physconvex evaluate paper`: textured objects moved by the FEM and filmed; truth in its own folder.
 
     OUT/benchmark.json                    options, objects
-    OUT/captures/NAME/                    a capture with the front camera (and further observed ones), mesh.obj
-    OUT/first_frames/NAME/                all cameras at t = 0 (images with alpha), mesh.obj
+    OUT/captures/NAME/                    images alone: the video of the front camera (and of further observed ones),
+                                          a picture of frame 0 of every other, all on white, with masks
     OUT/truth/NAME/truth.json             parameters, errors of mesh and step
+    OUT/truth/NAME/mesh.ply               closed surface at t = 0 [m]
     OUT/truth/NAME/CAMERA.mp4             images of every camera, on white
     OUT/truth/NAME/points.npz             `rest` [P, 3], `positions` [T, P, 3] m, and `positions_CHANGE` of each change
 
@@ -13,14 +14,14 @@ A run skips objects whose truth.json exists, so that it can be stopped and conti
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 import trimesh
-from jaxtyping import Float
+from jaxtyping import Bool, Float, UInt8
 from pydantic import JsonValue
 
 from data_gen.benchmark_scenes import (
@@ -37,12 +38,14 @@ from data_gen.benchmark_scenes import (
 )
 from data_gen.objects.library import ObjectMesh
 from data_gen.objects.user_meshes import load_user_mesh, objects_from_folder
-from data_gen.still_captures import FLAT, StillViews, rendered_frames, still_cameras, write_still_capture
+from data_gen.still_captures import FLAT, StillViews, rendered_frames, still_cameras
 from physconvex import InputError, __version__
 from physconvex.fem import Scene
 from physconvex.io import Camera, Capture, Floor, save_capture, write_video
 from physconvex.mesh import Embedding, TetMesh, enclosed_volume, filled, overlap, tetrahedralize
 from physconvex.reconstruction import psnr, structural_similarity
+
+Film = tuple[UInt8[np.ndarray, "T H W 3"], Bool[np.ndarray, "T H W"]]  # frames, and the object's mask
 
 POINTS = 300
 BENCHMARK = "benchmark.json"
@@ -116,7 +119,7 @@ def drop_object(
         grid = take.mesh()
         moved = take.moved(grid, take.scene(grid))
         camera = take.cameras(moved)[0]
-        take.write_capture(folder, {camera: take.filmed(moved, camera)})
+        take.write_capture(folder, {camera: take.filmed(moved, camera)}, mesh=take.surface)
         np.savez_compressed(kept, moved=moved)
     with np.load(kept, allow_pickle=False) as archive:
         return folder, archive["moved"]
@@ -180,6 +183,11 @@ class _Take:
         mesh = tetrahedralize(surface, max_nodes=nodes, order=2, method="auto", thorough=True)
         return filled(mesh, *surface) if self.options.fill else mesh
 
+    @property
+    def surface(self) -> trimesh.Trimesh:
+        """The visible surface at t = 0 [m]."""
+        return trimesh.Trimesh(self.body.vertices, self.body.faces, process=False)
+
     def scene(self, mesh: TetMesh) -> Scene:
         """The scene on a mesh."""
         return scene_of(mesh, self.truth, self.body, self.motion)
@@ -195,7 +203,7 @@ class _Take:
         views = StillViews(self.options.views, (12.0, 28.0, 4.0), name="view")
         return still_cameras(moved.reshape(-1, 3), views, self.options.size)
 
-    def filmed(self, moved: Float[np.ndarray, "T V 3"], camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    def filmed(self, moved: Float[np.ndarray, "T V 3"], camera: Camera) -> Film:
         """The object on white [T, H, W, 3], and its mask [T, H, W]."""
         frames = np.stack(rendered_frames(self.body.drawn(), camera, FLAT, moved))
         alpha = frames[..., 3:].astype(np.float32) / 255
@@ -220,8 +228,8 @@ class _Take:
             out[f"ssim_to_{label}"] = [float(structural_similarity(a, b)) for a, b in pairs]
         return out
 
-    def write_capture(self, folder: Path, films: dict[Camera, tuple[np.ndarray, np.ndarray]]) -> None:
-        """The observations of cameras (images and masks), with the rest geometry and the initial motion."""
+    def write_capture(self, folder: Path, films: Mapping[Camera, Film], mesh: trimesh.Trimesh | None = None) -> None:
+        """What cameras see: films of all frames, or of frame 0 alone; with the initial motion, and a mesh if given."""
         folder.parent.mkdir(parents=True, exist_ok=True)
         capture = Capture(
             folder,
@@ -234,27 +242,24 @@ class _Take:
             initial_velocity=np.array(self.motion.velocity),
             initial_angular_velocity=np.array(self.motion.spin),
         )
-        rest = trimesh.Trimesh(self.body.vertices, self.body.faces, process=False)
-        videos = {camera.name: video for camera, (video, _) in films.items()}
-        masks = {camera.name: mask for camera, (_, mask) in films.items()}
-        save_capture(capture, videos=videos, masks=masks, mesh=rest, crf=6)
+        videos = {camera.name: frames for camera, (frames, _) in films.items() if len(frames) > 1}
+        stills = {camera.name: frames[0] for camera, (frames, _) in films.items() if len(frames) == 1}
+        masks = {camera.name: mask if len(mask) > 1 else mask[0] for camera, (_, mask) in films.items()}
+        save_capture(capture, videos=videos, stills=stills, masks=masks, mesh=mesh, crf=6)
 
 
 def _write_pictures(out: Path, name: str, take: _Take, moved: np.ndarray, cameras: list[Camera]) -> np.ndarray:
-    """Images of all cameras, the capture and the first frames; returns the frames of the front view [T, H, W, 3]."""
-    truth, size = out / "truth" / name, take.options.size
+    """Images of all cameras, and the capture; returns the frames of the front view [T, H, W, 3]."""
+    truth = out / "truth" / name
     truth.mkdir(parents=True, exist_ok=True)
+    take.surface.export(truth / "mesh.ply")
+    (truth / "cameras.json").write_text(json.dumps([c.to_json() for c in cameras], indent=1) + "\n", encoding="utf-8")
     observed = {k * len(cameras) // take.options.observed_views for k in range(take.options.observed_views)}
     films = {}
     for k, camera in enumerate(cameras):
-        film = take.filmed(moved, camera)
-        write_video(truth / f"{camera.name}.mp4", film[0], fps=take.options.fps, crf=6)
-        if k in observed:
-            films[camera] = film
+        frames, mask = take.filmed(moved, camera)
+        write_video(truth / f"{camera.name}.mp4", frames, fps=take.options.fps, crf=6)
+        films[camera] = (frames, mask) if k in observed else (frames[:1].copy(), mask[:1].copy())
     if not (out / "captures" / name).exists():
         take.write_capture(out / "captures" / name, films)
-    (truth / "cameras.json").write_text(json.dumps([c.to_json() for c in cameras], indent=1) + "\n", encoding="utf-8")
-    if not (out / "first_frames" / name).exists():
-        (out / "first_frames").mkdir(exist_ok=True)
-        write_still_capture(out / "first_frames" / name, take.body, (), size=size, lighting=FLAT, cameras=cameras)
     return films[cameras[0]][0]

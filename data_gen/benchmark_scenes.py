@@ -40,7 +40,7 @@ class BenchmarkOptions(Options):
     views: Annotated[int, Field(ge=2)] = 12
     """Number of cameras around the object."""
     observed_views: Annotated[int, Field(ge=1)] = 1
-    """Number of cameras in a capture, evenly spread; 1: the front camera."""
+    """Number of cameras with a video, evenly spread; 1: the front camera. The others have a picture of frame 0."""
     motion: MotionName = "drop"
     """Motion: drop (onto a rough floor) or toss (upwards with spin, without a floor)."""
     frames: Annotated[int, Field(ge=2)] = 24

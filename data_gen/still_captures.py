@@ -1,10 +1,7 @@
-"""Captures of objects at rest: images with alpha from all sides, and the rest geometry."""
+"""Captures of objects at rest: pictures with alpha from all sides, and the rest geometry."""
 
 from __future__ import annotations
 
-import json
-import os
-import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,19 +9,16 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from jaxtyping import Float, UInt8
-from PIL import Image
 
 from data_gen.objects.library import ObjectMesh
 from data_gen.render import Renderer
 from data_gen.surface import Backdrop, DrawnSurface, Lighting
-from physconvex import InputError
-from physconvex.io import Camera, look_at
+from physconvex.io import Camera, Capture, look_at, save_capture
 
 KEYED = Lighting(direction=(0.4, -0.5, 0.768))
 FLAT = Lighting(direction=(0.0, 0.0, 1.0), key=0.0, fill=0.0, ambient=1.0, specular=0.0, bounce=0.0)
 FIELD_OF_VIEW = 0.5  # [rad]
 SPACE = 1.08  # around the object
-COPIES = 2  # of each image, since a sequence has at least two
 
 
 @dataclass(frozen=True)
@@ -80,37 +74,15 @@ def rendered_frames(
 
 
 def write_still_capture(
-    folder: Path,
-    body: ObjectMesh,
-    views: Sequence[StillViews],
-    *,
-    size: int,
-    lighting: Lighting = KEYED,
-    cameras: Sequence[Camera] = (),
+    folder: Path, body: ObjectMesh, views: Sequence[StillViews], *, size: int, lighting: Lighting = KEYED
 ) -> None:
-    """Write a capture folder of a coloured object: `<camera>/000000.png`, capture.json, mesh.obj.
-
-    The views are those of `views` about the object, and of further `cameras`.
+    """Write a capture folder of a coloured object at rest: one picture with alpha of each view, and the mesh.
 
     Raises:
         InputError: the folder exists, or the object has no colours.
     """
-    if folder.exists():
-        raise InputError(f"{folder}: exists; choose another folder or remove it first")
     surface = body.drawn()
-    cameras = [*cameras, *(camera for group in views for camera in still_cameras(body.vertices, group, size))]
-    partial = folder.with_name(f".{folder.name}.{os.getpid()}.part")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    try:
-        for camera in cameras:
-            (partial / camera.name).mkdir()
-            (rgba,) = rendered_frames(surface, camera, lighting, [body.vertices])
-            for copy in range(COPIES):
-                Image.fromarray(rgba).save(partial / camera.name / f"{copy:06d}.png")
-        content = {"fps": 24.0, "frames": COPIES, "cameras": [camera.to_json() for camera in cameras]}
-        (partial / "capture.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        trimesh.Trimesh(body.vertices, body.faces, process=False).export(partial / "mesh.obj")
-        os.rename(partial, folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    cameras = [camera for group in views for camera in still_cameras(body.vertices, group, size)]
+    stills = {camera.name: rendered_frames(surface, camera, lighting, [body.vertices])[0] for camera in cameras}
+    capture = Capture(folder, fps=24.0, frames=1, observed_frames=1, cameras=tuple(cameras))
+    save_capture(capture, stills=stills, mesh=trimesh.Trimesh(body.vertices, body.faces, process=False))

@@ -15,6 +15,7 @@ from PIL import Image
 from physconvex import InputError
 from physconvex.io import (
     Boundary,
+    Camera,
     Capture,
     CaptureFile,
     Floor,
@@ -31,11 +32,12 @@ from physconvex.mesh import TetMesh
 FRAMES, WIDTH, HEIGHT = 6, 64, 48
 
 
+def _camera(name: str, x: float = 0.0) -> Camera:
+    return look_at((x, -3.0, 1.0), (0, 0, 0.5), width=WIDTH, height=HEIGHT, vertical_field_of_view=0.6, name=name)
+
+
 def _capture(folder: Path, **changes: Any) -> Capture:
-    cameras = tuple(
-        look_at((x, -3.0, 1.0), (0, 0, 0.5), width=WIDTH, height=HEIGHT, vertical_field_of_view=0.6, name=name)
-        for x, name in ((0.0, "front"), (1.0, "side"))
-    )
+    cameras = (_camera("front"), _camera("side", 1.0))
     values: dict[str, Any] = {"fps": 30.0, "frames": FRAMES, "observed_frames": 4, "cameras": cameras}
     return Capture(folder=folder, **(values | changes))
 
@@ -139,6 +141,42 @@ def test_image_folder_with_alpha(tmp_path: Path) -> None:
     capture = load_capture(tmp_path / "c")
     np.testing.assert_array_equal(capture.video("front").frames, images)
     np.testing.assert_array_equal(capture.mask("front"), mask)
+
+
+def test_pictures_of_frame_0_alone(tmp_path: Path) -> None:
+    images, mask = _frames()
+    rgba = np.dstack([images[0], mask[0] * np.uint8(200)])
+    written = _capture(tmp_path / "c", cameras=(*_capture(tmp_path).cameras, _camera("back")))
+    save_capture(
+        written,
+        videos={"front": images},
+        stills={"side": images[0], "back": rgba},
+        masks={"front": mask, "side": mask[0]},
+    )
+    names = {path.name for path in (tmp_path / "c").iterdir()}
+    assert names == {"capture.json", "front.mp4", "front_mask.mp4", "side.png", "side_mask.png", "back.png"}
+    capture = load_capture(tmp_path / "c")
+    assert [camera.name for camera in capture.recorded] == ["front"] and len(capture.pictured) == 3
+    for name in ("side", "back"):
+        np.testing.assert_array_equal(capture.first_frame(name)[0], images[0])
+    np.testing.assert_array_equal(capture.first_frame("back")[1], rgba[..., 3])
+    np.testing.assert_array_equal(capture.first_mask("side"), mask[0])
+    np.testing.assert_array_equal(capture.first_mask("front"), mask[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"stills": {"side": np.zeros((HEIGHT, 60, 3), np.uint8)}}, r"stills\['side'\]: got shape \(48, 60, 3\)"),
+        ({"stills": {"side": np.zeros((HEIGHT, WIDTH, 1), np.uint8)}}, r"expected \(48, 64, 3\)"),
+        ({"stills": {"side": np.zeros((HEIGHT, WIDTH, 3))}}, r"stills\['side'\]: got float64; expected uint8"),
+        ({"masks": {"side": np.zeros((HEIGHT, 60), bool)}}, r"masks\['side'\]: got shape"),
+    ],
+)
+def test_stills_that_do_not_fit(tmp_path: Path, change: dict[str, Any], match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        save_capture(_capture(tmp_path / "c"), **change)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_masks_are_true_or_false(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import trimesh
 from typer.testing import CliRunner
 
 from physconvex import InputError
-from physconvex.io import load_capture
+from physconvex.io import load_capture, read_mesh
 from train import PaperOptions, evaluate_paper
 from train.paper.rows import ObjectRow
 from train.paper.tables import markdown, summary
@@ -88,9 +88,19 @@ def benchmark(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_benchmark_keeps_truth_apart(benchmark):
+def test_a_benchmark_shows_images_alone_and_keeps_truth_apart(benchmark):
     files = {path.name for path in (benchmark / "captures" / "ball").iterdir()}
-    assert files == {"capture.json", "mesh.obj", "view0.mp4", "view0_mask.mp4"}
+    stills = {f"view{k}{end}" for k in (1, 2) for end in (".png", "_mask.png")}
+    assert files == {"capture.json", "view0.mp4", "view0_mask.mp4"} | stills
+    capture = load_capture(benchmark / "captures" / "ball")
+    assert capture.mesh() is None and len(capture.pictured) == 3
+    assert [camera.name for camera in capture.recorded] == ["view0"]
+    surface = read_mesh(benchmark / "truth" / "ball" / "mesh.ply")
+    for camera in capture.pictured:  # the picture is that of the true mesh
+        rows, columns = np.nonzero(capture.first_mask(camera.name))
+        pixels, _ = camera.project(surface.vertices)
+        np.testing.assert_allclose([columns.min(), rows.min()], pixels.min(axis=0), atol=1.1)
+        np.testing.assert_allclose([columns.max() + 1, rows.max() + 1], pixels.max(axis=0), atol=1.1)
     truth = json.loads((benchmark / "truth" / "ball" / "truth.json").read_text())
     assert 4.5 <= np.log10(truth["youngs_modulus"]) <= 4.6
     for label in ("half_steps", "half_nodes"):
@@ -103,7 +113,7 @@ def test_a_benchmark_keeps_truth_apart(benchmark):
 
 
 @pytest.mark.slow
-def test_a_capture_holds_as_many_views_as_are_observed(benchmark, tmp_path):
+def test_a_capture_holds_as_many_videos_as_are_observed(benchmark, tmp_path):
     from data_gen import BenchmarkOptions
     from data_gen.benchmark import generate_benchmark
 
@@ -113,9 +123,8 @@ def test_a_capture_holds_as_many_views_as_are_observed(benchmark, tmp_path):
     )  # fmt: skip
     generate_benchmark(benchmark.parent / "objects", tmp_path, sizes)
     capture = load_capture(tmp_path / "captures" / "ball")
-    assert [camera.name for camera in capture.cameras] == ["view0", "view2"]
-    files = {path.name for path in capture.folder.iterdir()}
-    assert files >= {"view0.mp4", "view0_mask.mp4", "view2.mp4", "view2_mask.mp4"} and "view1.mp4" not in files
+    assert [camera.name for camera in capture.pictured] == ["view0", "view1", "view2", "view3"]
+    assert [camera.name for camera in capture.recorded] == ["view0", "view2"]
     with pytest.raises(InputError, match="observed_views: got 5; expected at most views = 4"):
         sizes.replace(observed_views=5)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from PIL import Image
 from pydantic import JsonValue
 
 from physconvex.errors import InputError
@@ -22,6 +23,7 @@ def save_capture(
     capture: Capture,
     *,
     videos: Mapping[str, np.ndarray] | None = None,
+    stills: Mapping[str, np.ndarray] | None = None,
     masks: Mapping[str, np.ndarray] | None = None,
     mesh: trimesh.Trimesh | None = None,
     tets: TetMesh | None = None,
@@ -35,7 +37,8 @@ def save_capture(
     Args:
         capture: metadata; `capture.folder` is the destination.
         videos: frames by camera name, uint8 [T, H, W, 3], written as H.264 with quality `crf`.
-        masks: the object's masks, by camera name, bool [T, H, W], written losslessly.
+        stills: pictures of frame 0 alone, by camera name, uint8 [H, W, 3], or [H, W, 4] with alpha, written as PNG.
+        masks: the object's masks, by camera name, bool [T, H, W], or [H, W] of frame 0 alone, written losslessly.
         mesh: rest geometry, written as OBJ with its texture if it has one.
         tets: tetrahedra of the rest geometry.
         tracks: marker tracks.
@@ -43,22 +46,24 @@ def save_capture(
         truth: written to `truth.json`, which only evaluations read.
 
     Raises:
-        InputError: the folder exists; a video of an unknown camera or of another size or length.
+        InputError: the folder exists; a picture of an unknown camera, of another size or length, or of another type.
     """
     if capture.folder.exists():
         raise InputError(f"{capture.folder}: exists; choose another folder or remove it first")
-    _check_pictures(capture, videos or {}, masks or {})
+    videos, stills, masks = videos or {}, stills or {}, masks or {}
+    _check_pictures(capture, videos, stills, masks)
     partial = capture.folder.with_name(f".{capture.folder.name}.{os.getpid()}.part")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     try:
         _write_json(partial / CAPTURE_FILE, _metadata(capture))
         _write_arrays(partial, tets, tracks, boundary)
-        for name, frames in (videos or {}).items():
+        for name, frames in videos.items():
             write_video(partial / f"{name}.mp4", frames, fps=capture.fps, crf=crf)
-        for name, mask in (masks or {}).items():
-            grey = np.where(mask[..., None], np.uint8(255), np.uint8(0))
-            write_video(partial / f"{name}_mask.mp4", np.repeat(grey, 3, axis=-1), fps=capture.fps, crf=0)
+        for name, picture in stills.items():
+            Image.fromarray(picture).save(partial / f"{name}.png")
+        for name, mask in masks.items():
+            _write_mask(partial / f"{name}_mask", mask, capture.fps)
         if mesh is not None:
             mesh.export(partial / "mesh.obj")
         if truth is not None:
@@ -68,16 +73,43 @@ def save_capture(
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def _check_pictures(capture: Capture, videos: Mapping[str, np.ndarray], masks: Mapping[str, np.ndarray]) -> None:
-    for kind, pictures in (("videos", videos), ("masks", masks)):
-        for name, frames in pictures.items():
-            camera = capture.camera(name)
-            expected = (capture.frames, camera.h, camera.w)
-            if frames.shape[:3] != expected:
-                raise InputError(f"{kind}[{name!r}]: got shape {frames.shape}, expected {expected} (frames, h, w)")
+def _check_pictures(
+    capture: Capture,
+    videos: Mapping[str, np.ndarray],
+    stills: Mapping[str, np.ndarray],
+    masks: Mapping[str, np.ndarray],
+) -> None:
+    frames, uint8 = (capture.frames,), ("uint8", "uint8")
+    for name, video in videos.items():
+        _check_picture(f"videos[{name!r}]", video, (*frames, *_size(capture, name), 3), uint8)
+    for name, still in stills.items():
+        channels = 4 if still.shape[2:] == (4,) else 3
+        _check_picture(f"stills[{name!r}]", still, (*_size(capture, name), channels), uint8)
     for name, mask in masks.items():
-        if mask.dtype != bool:
-            raise InputError(f"masks[{name!r}]: got {mask.dtype}; expected bool, true where the object is seen")
+        kind = ("bool", "bool, true where the object is seen")
+        _check_picture(f"masks[{name!r}]", mask, (*(() if mask.ndim == 2 else frames), *_size(capture, name)), kind)
+
+
+def _size(capture: Capture, camera: str) -> tuple[int, int]:
+    found = capture.camera(camera)
+    return found.h, found.w
+
+
+def _check_picture(name: str, picture: np.ndarray, shape: tuple[int, ...], kind: tuple[str, str]) -> None:
+    """Shape, and type: its name, and its description."""
+    if picture.shape != shape:
+        raise InputError(f"{name}: got shape {picture.shape}, expected {shape}")
+    if picture.dtype != kind[0]:
+        raise InputError(f"{name}: got {picture.dtype}; expected {kind[1]}")
+
+
+def _write_mask(stem: Path, mask: np.ndarray, fps: float) -> None:
+    """White where the object is: a picture, or a video."""
+    grey = np.where(mask, np.uint8(255), np.uint8(0))
+    if mask.ndim == 2:
+        Image.fromarray(grey).save(stem.with_name(f"{stem.name}.png"))
+    else:
+        write_video(stem.with_name(f"{stem.name}.mp4"), np.repeat(grey[..., None], 3, axis=-1), fps=fps, crf=0)
 
 
 def _metadata(capture: Capture) -> dict[str, JsonValue]:
