@@ -13,7 +13,7 @@ from torch import Tensor
 from physconvex.convex.spherical_harmonics import degree_of
 from physconvex.errors import InputError
 
-LEAST_POINTS = 4  # fewer enclose no volume
+LEAST_POINTS = 3  # of a flat convex, a triangle
 
 
 class _Tensors:
@@ -24,7 +24,7 @@ class _Tensors:
 
 @dataclass(frozen=True, eq=False)
 class ConvexField(_Tensors):
-    """N convexes, each the hull of K ≥ 4 points, in the world frame.
+    """N convexes, each the hull of K ≥ 3 points, in the world frame; with three they are flat.
 
     Occupancy of one convex (3D Convex Splatting, Held et al. 2025), in space with signed distances f_h [m] to the faces
     of its hull, in an image with those to the edges of its projected hull at the depth of its centre:
@@ -41,7 +41,7 @@ class ConvexField(_Tensors):
             `spherical_harmonics`.
 
     Raises:
-        InputError: shapes that do not fit, fewer than four points, unequal types or devices.
+        InputError: shapes that do not fit, fewer than three points, unequal types or devices.
     """
 
     points: Float[Tensor, "N K 3"]

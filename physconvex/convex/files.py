@@ -9,7 +9,7 @@ import torch
 import trimesh
 
 from physconvex.convex.field import ConvexField, numbers
-from physconvex.convex.hull_points import hull_triangles
+from physconvex.convex.hull_points import hull_triangles, planar_corners
 from physconvex.convex.spherical_harmonics import GREATEST_DEGREE, MIDDLE, harmonic_basis
 from physconvex.errors import InputError
 
@@ -96,14 +96,14 @@ def _layout(path: Path, lines: list[list[str]]) -> tuple[int, str, list[str]]:
 def hull_mesh(field: ConvexField) -> trimesh.Trimesh:
     """All hulls as one mesh [m], each vertex with its convex's mean colour and opacity.
 
-    Flat convexes, which have no hull, are omitted; the mesh is empty if all are flat.
+    Flat convexes are drawn from both sides. Those whose points lie on a line are omitted; the mesh is empty if all do.
     """
     colours = _mean_colours(field)
     parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     count = 0
     for points, colour in zip(numbers(field.points), colours, strict=True):
-        if np.linalg.matrix_rank(points - points[0], tol=1e-9 * np.ptp(points)) == 3:
-            corners, triangles = hull_triangles(points)
+        corners, triangles = _hull_or_face(points)
+        if len(corners):
             parts.append((points[corners], triangles + count, np.tile(colour, (len(corners), 1))))
             count += len(corners)
     if not parts:
@@ -112,15 +112,24 @@ def hull_mesh(field: ConvexField) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, faces, vertex_colors=rgba, process=False)
 
 
+def _hull_or_face(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of a hull and its triangles; of points in a plane, both sides of their face; none on a line."""
+    if np.linalg.matrix_rank(points - points[0], tol=1e-9 * np.ptp(points)) == 3:
+        return hull_triangles(points)
+    corners = planar_corners(points)
+    fan = np.array([[0, k, k + 1] for k in range(1, len(corners) - 1)], dtype=np.int64).reshape(-1, 3)
+    return corners, np.concatenate([fan, fan[:, ::-1]])
+
+
 def write_glb(field: ConvexField, path: str | Path) -> None:
     """Write the hulls for any viewer of glTF files.
 
     Raises:
-        InputError: no convex has a volume.
+        InputError: no convex has a face.
     """
     mesh = hull_mesh(field)
     if mesh.is_empty:
-        raise InputError("field: no convex has a volume; there is nothing to write")
+        raise InputError("field: no convex has a face; there is nothing to write")
     mesh.export(Path(path), file_type="glb")
 
 

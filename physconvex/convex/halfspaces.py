@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
 from physconvex.convex.field import ConvexField, numbers
-from physconvex.convex.hull_points import outward_faces
+from physconvex.convex.hull_points import LEAST_SOLID, outward_faces
 from physconvex.errors import InputError
 
 COPLANAR = 1e-9  # faces closer than this, in units of the convex's size, count once
@@ -53,8 +53,18 @@ def hull_faces(points: Float[np.ndarray, "K 3"]) -> Int[np.ndarray, "H 3"]:
     return outward_faces(hull)[keep]
 
 
-def _with_volume(points: Float[Tensor, "N K 3"]) -> Float[Tensor, "N K 3"]:
-    """The points; those of flat convexes are moved apart by a fixed ten-thousandth of their size."""
+def _with_volume(points: Float[Tensor, "N K 3"]) -> Float[Tensor, "N L 3"]:
+    """The points; those of flat convexes are moved apart by a fixed ten-thousandth of their size.
+
+    Triangles become prisms.
+    """
+    if points.shape[1] < LEAST_SOLID:
+        a, b, c = points.unbind(dim=1)
+        cross = torch.linalg.cross(b - a, c - a)
+        longest = torch.stack([b - a, c - a, c - b]).norm(dim=-1).amax(dim=0)
+        length = cross.norm(dim=-1).clamp(min=torch.finfo(points.dtype).tiny)
+        away = (THICKENED * longest / length)[:, None, None] * cross[:, None]
+        points = torch.cat([points + away, points - away], dim=1)
     centred = points.detach() - points.detach().mean(dim=1, keepdim=True)
     extents = torch.linalg.svdvals(centred)
     flat = extents[:, 2] <= FLAT * extents[:, 0]

@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
+LEAST_SOLID = 4  # points of a hull with volume
+
 
 def hull_volume(points: Float[np.ndarray, "C 3"]) -> float:
     """Volume of the hull [m³]; zero for points in a plane."""
@@ -33,6 +35,16 @@ def outward_faces(hull: ConvexHull) -> Int[np.ndarray, "F 3"]:
     return np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
 
 
+def planar_corners(points: Float[np.ndarray, "C 3"]) -> Int[np.ndarray, " M"]:
+    """Indices of the corners of the hull of points in a plane, in order around it; none if they lie on a line."""
+    centred = (points - points.mean(axis=0)) / _scale(points)
+    plane = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
+    try:
+        return np.asarray(ConvexHull(plane).vertices)
+    except QhullError:
+        return np.zeros(0, dtype=np.int64)
+
+
 def cut_points(
     points: Float[np.ndarray, "C 3"], normal: Float[np.ndarray, " 3"], offset: float
 ) -> Float[np.ndarray, "M 3"]:
@@ -54,15 +66,26 @@ def fewer_points(points: Float[np.ndarray, "C 3"], count: int) -> Float[np.ndarr
     """At most `count` of the corners: the least prominent corner is removed repeatedly.
 
     The measure is the volume of the pyramids from the faces about a corner to the mean of the neighbouring corners. If
-    those neighbours lie in a plane, it is an upper bound on the lost volume.
+    those neighbours lie in a plane, it is an upper bound on the lost volume. Of points in a plane, it is the area.
     """
     points = points[corners_of(points)]
     while len(points) > count:
         hull = _hull(points)
         if hull is None:
-            return points[:count]
+            return _fewer_in_plane(points, count)
         points = np.delete(points, _protrusions(points, hull.simplices).argmin(), axis=0)
     return points
+
+
+def _fewer_in_plane(points: Float[np.ndarray, "C 3"], count: int) -> Float[np.ndarray, "M 3"]:
+    """At most `count` of the corners: that of the smallest triangle with its neighbours is removed repeatedly."""
+    corners = points[planar_corners(points)]
+    if not len(corners):
+        return points[:count]
+    while len(corners) > count:
+        sides = np.roll(corners, 1, axis=0) - corners, np.roll(corners, -1, axis=0) - corners
+        corners = np.delete(corners, np.linalg.norm(np.cross(*sides), axis=1).argmin(), axis=0)
+    return corners
 
 
 def _protrusions(points: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, " C"]:

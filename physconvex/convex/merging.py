@@ -22,7 +22,8 @@ def merge(
 
     A pair may merge if the hull of at most K of its corners differs in volume by at most `volume_tolerance` from the
     two hulls together, and their harmonics by at most `colour_tolerance` (rms over coefficients and channels). Repeat
-    to merge further. The merged convex has the mean of colours, α, β and opacity, weighted by volume.
+    to merge further. Pairs of flat convexes do not merge. The merged convex has the mean of colours, α, β and opacity,
+    weighted by volume.
 
     Args:
         volume_tolerance: share of the volume of both that may be added or lost.
@@ -48,7 +49,8 @@ def merge(
         hull = fewer_points(both, points.shape[1])
         before = volumes[first] + volumes[second]
         if (
-            abs(hull_volume(hull) - before) > volume_tolerance * before
+            before == 0
+            or abs(hull_volume(hull) - before) > volume_tolerance * before
             or hull_volume(both) > (1 + volume_tolerance) * before
         ):
             continue

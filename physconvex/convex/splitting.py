@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from physconvex.convex.field import LEAST_POINTS, ConvexField, numbers
-from physconvex.convex.hull_points import cut_points, fewer_points, hull_volume, padded_points
+from physconvex.convex.hull_points import LEAST_SOLID, cut_points, fewer_points, hull_volume, padded_points
 from physconvex.convex.motion import DeformationMap
 from physconvex.errors import InputError
 
@@ -72,7 +72,7 @@ def split(
 
     The cut goes through the middle, or through a corner near it, which leaves fewer corners. Both parts keep colour,
     edges and opacity. Without `overlap` their hulls share one face: occupancy as a set is conserved exactly, but soft
-    edges there transmit light.
+    edges there transmit light. Flat convexes stay flat.
 
     Args:
         which: the convexes to split, shape [N].
@@ -191,13 +191,15 @@ def _bending(field: ConvexField, deform: DeformationMap) -> Float[Tensor, "N 3"]
 def halve(points: Float[Tensor, "M K 3"], overlap: Float[Tensor, " M"]) -> Float[Tensor, "M 2 K 3"]:
     """Both parts of each hull, cut across its longest extent, with K points each.
 
-    A part keeps the points on its side. The others are replaced by crossings of the cut with segments between points on
-    either side, each chosen as the farthest from those chosen before. All crossings lie in the hull, and so do the
-    parts; the lost volume is small for flat prisms.
+    A triangle is cut through the middle of its longest edge. Of more points, a part keeps those on its side. The others
+    are replaced by crossings of the cut with segments between points on either side, each chosen as the farthest from
+    those chosen before. All crossings lie in the hull, and so do the parts; the lost volume is small for flat prisms.
 
     Args:
         overlap: reach of each part beyond the cut [m].
     """
+    if points.shape[1] < LEAST_SOLID:
+        return _bisected(points, overlap)
     centred = points - points.mean(dim=1, keepdim=True)
     normals = torch.linalg.svd(centred, full_matrices=False)[2][:, 0]
     height = torch.einsum("mki,mi->mk", centred, normals)
@@ -207,6 +209,17 @@ def halve(points: Float[Tensor, "M K 3"], overlap: Float[Tensor, " M"]) -> Float
     middle = torch.where((nearest - middle).abs() < CENTRAL_POINT * (high - low), nearest, middle)
     near = overlap + NEAR_CUT * (high - low)  # points this near to the cut belong to both parts
     parts = [_near_part(points, side * (height - middle[:, None]) - near[:, None]) for side in (1, -1)]
+    return torch.stack(parts, dim=1)
+
+
+def _bisected(points: Float[Tensor, "M 3 3"], overlap: Float[Tensor, " M"]) -> Float[Tensor, "M 2 3 3"]:
+    """Both parts of triangles."""
+    edges = torch.linalg.vector_norm(points.roll(-1, dims=1) - points, dim=2)  # from each point to the next
+    rows, first = torch.arange(len(points), device=points.device), edges.argmax(dim=1)
+    a, b, opposite = (points[rows, (first + step) % 3] for step in range(3))
+    reach = (overlap / edges[rows, first].clamp(min=torch.finfo(points.dtype).tiny)).clamp(max=0.5)[:, None] * (b - a)
+    middle = 0.5 * (a + b)
+    parts = [torch.stack([opposite, a, middle + reach], dim=1), torch.stack([opposite, middle - reach, b], dim=1)]
     return torch.stack(parts, dim=1)
 
 

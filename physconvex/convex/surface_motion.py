@@ -9,9 +9,9 @@ from scipy.optimize import linprog
 from scipy.spatial import HalfspaceIntersection, QhullError
 from torch import Tensor
 
-from physconvex.convex.field import LEAST_POINTS, numbers
+from physconvex.convex.field import numbers
 from physconvex.convex.halfspaces import HalfSpaces
-from physconvex.convex.hull_points import fewer_points, padded_points
+from physconvex.convex.hull_points import LEAST_SOLID, fewer_points, padded_points
 from physconvex.convex.motion import DeformationMap
 from physconvex.errors import InputError
 
@@ -45,13 +45,13 @@ def points_of_half_spaces(spaces: HalfSpaces, *, count: int | None = None) -> Fl
     Raises:
         InputError: an intersection that is empty or not bounded; `count` below four.
     """
-    if count is not None and count < LEAST_POINTS:
-        raise InputError(f"count: got {count}; expected at least {LEAST_POINTS}")
+    if count is not None and count < LEAST_SOLID:
+        raise InputError(f"count: got {count}; expected at least {LEAST_SOLID}")
     arrays, found = (numbers(spaces.normals), numbers(spaces.offsets)), []
     for convex, (normals, offsets) in enumerate(zip(*arrays, strict=True)):
         corners = _corners(normals[np.isfinite(offsets)], offsets[np.isfinite(offsets)], convex)
         found.append(corners if count is None else fewer_points(corners, count))
-    most = max([LEAST_POINTS, *map(len, found)]) if count is None else count
+    most = max([LEAST_SOLID, *map(len, found)]) if count is None else count
     points = np.array([padded_points(some, most) for some in found]).reshape(-1, most, 3)
     return torch.as_tensor(points).to(spaces.normals)
 

@@ -23,7 +23,7 @@ class ReconstructionConfig(FrozenConfig):
         start: source of the first convexes: the mesh of the capture, the visual hull of the masks, or points. `auto`
             takes the mesh if there is one, else points if given, else the hull.
         budget: most convexes.
-        points_per_convex: K, 4 to 9; below six, gaps are not filled after the fit.
+        points_per_convex: K, 3 to 9; three make flat convexes; below six, gaps are not filled after the fit.
         start_share: share of the budget that covers the surface at the start; refinement adds the rest.
         filler_share: share of the budget that may fill the inside.
         gap_share: share of the budget that is reserved to fill gaps after the fit; the other shares refer to the rest.
@@ -41,7 +41,7 @@ class ReconstructionConfig(FrozenConfig):
 
     start: StartKind = "auto"
     budget: int = Field(default=16_000, ge=50)
-    points_per_convex: int = Field(default=6, ge=4, le=9)
+    points_per_convex: int = Field(default=6, ge=3, le=9)
     start_share: Share = 0.8
     filler_share: Share = 0.1
     gap_share: Share = 0.1

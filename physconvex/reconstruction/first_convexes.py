@@ -128,12 +128,14 @@ def octahedra(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 6 3"]:
 
 
 def with_count(hulls: Float[np.ndarray, "N 6 3"], count: int) -> Float[np.ndarray, "N K 3"]:
-    """Hulls of that many points (4 to 9) from prisms of six: outer triangle first, then the inner one.
+    """Hulls of that many points (3 to 9) from prisms of six: outer triangle first, then the inner one.
 
-    With fewer, inner corners are merged to their means. With more, middles of inner edges are added, a little outside,
-    so that they are corners too.
+    With three, the outer triangle is left. With four and five, inner corners are merged to their means. With more,
+    middles of inner edges are added, a little outside, so that they are corners too.
     """
     outer, inner = hulls[:, :3], hulls[:, 3:]
+    if count == 3:
+        return outer
     if count == 4:
         return np.concatenate([outer, inner.mean(axis=1, keepdims=True)], axis=1)
     if count == 5:

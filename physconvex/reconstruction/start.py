@@ -19,6 +19,7 @@ from physconvex.reconstruction.first_convexes import UNPAINTED, fillers, octahed
 from physconvex.reconstruction.observation import Gathered, Observation, gather
 from physconvex.reconstruction.triangles import even_triangles, welded
 
+FLAT = 3  # points of a convex that fills nothing
 OPACITY = 0.97
 DEPTH = 1.3  # of prisms, in mean edges of the triangles
 
@@ -64,7 +65,8 @@ def start_field(
         triangles = even_triangles(surface, max(4, round(config.start_share * config.fit_budget)))
         depth = DEPTH * float(np.sqrt(4 / np.sqrt(3) * triangles.areas.mean()))
         outer = prisms(triangles, surface, depth=depth, overhang=0.5 * config.edge_width * pixel)
-        inner = fillers(surface, depth=depth, most=round(config.filler_share * config.fit_budget))
+        if config.points_per_convex > FLAT:
+            inner = fillers(surface, depth=depth, most=round(config.filler_share * config.fit_budget))
     hulls = with_count(np.concatenate([outer, inner]), config.points_per_convex)
     both = torch.as_tensor(hulls, dtype=torch.float32)
     ones = torch.ones(len(both))

@@ -7,7 +7,15 @@ import pytest
 import torch
 
 from physconvex import InputError
-from physconvex.convex import ConvexField, FreeParameters, half_spaces, hull_faces, occupancies, occupancy
+from physconvex.convex import (
+    ConvexField,
+    FreeParameters,
+    half_spaces,
+    hull_faces,
+    inside_union,
+    occupancies,
+    occupancy,
+)
 from tests.convex.fields import cube, random_field
 from tests.convex.hulls import support
 
@@ -19,7 +27,7 @@ def test_six_points_and_degree_three_are_69_parameters() -> None:
 @pytest.mark.parametrize(
     ("name", "shape", "message"),
     [
-        ("points", (2, 3, 3), "K ≥ 4"),
+        ("points", (2, 2, 3), "K ≥ 3"),
         ("smoothness", (3,), "one per convex"),
         ("opacity", (2, 1), "one per convex"),
         ("harmonics", (2, 5, 3), "1, 4, 9 or 16"),
@@ -92,8 +100,22 @@ def test_flat_convex_keeps_both_sides() -> None:
     assert distances[2].amax().abs() < 1e-4
 
 
-def test_occupancy_gradient_against_differences() -> None:
-    field = random_field(2, points=5, seed=3)
+def test_a_triangle_counts_as_a_thin_prism() -> None:
+    corners = torch.tensor([[0, 0, 0], [2, 0, 0], [0, 1, 0]]).double()
+    line = corners * torch.tensor([1.0, 0, 0])
+    field = random_field(2, points=3).with_points(torch.stack([corners, line]))
+    where = torch.tensor([[0.3, 0.2, 0.4], [0.3, 0.2, -0.4], [0.3, 0.2, 0], [3.0, 0, 0]]).double()
+    distances = half_spaces(field).distances(where)
+    assert distances[0, 0].isfinite().sum() == 5
+    thick = torch.tensor([0.4, 0.4, 0.0, 1 / math.sqrt(5)]).double()  # from the plane, from the oblique edge
+    torch.testing.assert_close(distances.amax(dim=-1)[:, 0], thick, rtol=0, atol=3e-4)
+    assert not distances.isnan().any()
+    np.testing.assert_array_equal(inside_union(field, where.numpy()), [False, False, True, False])
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_occupancy_gradient_against_differences(count: int) -> None:
+    field = random_field(2, points=count, seed=3)
     positions = field.centres + 0.05
 
     def value(points: torch.Tensor, smoothness: torch.Tensor, sharpness: torch.Tensor) -> torch.Tensor:

@@ -8,7 +8,7 @@ import torch
 import trimesh
 
 from physconvex import InputError
-from physconvex.convex import coefficients_of_colour, hull_mesh, read_ply, write_glb, write_ply
+from physconvex.convex import ConvexField, coefficients_of_colour, hull_mesh, read_ply, write_glb, write_ply
 from tests.convex.fields import cube, random_field
 
 
@@ -51,6 +51,11 @@ def test_values_out_of_range_are_refused(tmp_path: Path) -> None:
         read_ply(tmp_path / "negative.ply")
 
 
+def _areas(triangles: ConvexField) -> torch.Tensor:
+    a, b, c = triangles.points.unbind(dim=1)
+    return 0.5 * torch.linalg.cross(b - a, c - a).norm(dim=1)
+
+
 def test_glb_holds_the_hulls_in_their_colours(tmp_path: Path) -> None:
     box = cube(0.5)
     red = box.map(torch.clone)
@@ -62,5 +67,9 @@ def test_glb_holds_the_hulls_in_their_colours(tmp_path: Path) -> None:
     field = random_field(3)
     alone = [hull_mesh(field.select(torch.tensor([convex]))).volume for convex in range(3)]
     assert np.isclose(hull_mesh(field).volume, sum(alone))
-    with pytest.raises(InputError, match="volume"):
+    flat = box.with_points(box.points * torch.tensor([1.0, 1.0, 0.0]))
+    triangles = random_field(2, points=3)
+    for sheet, area in ((flat, 2.0), (triangles, 2 * float(_areas(triangles).sum()))):
+        assert hull_mesh(sheet).area == pytest.approx(area, rel=1e-6)  # both sides
+    with pytest.raises(InputError, match="face"):
         write_glb(box.with_points(box.points * 0), tmp_path / "flat.glb")

@@ -35,6 +35,14 @@ def test_the_parts_fill_most_of_the_whole_and_nothing_else(kind, share):
     assert inside_union(field.select(torch.tensor([0])), corners, margin=1e-9).all()
 
 
+@pytest.mark.parametrize("overlap", [0.0, 0.05])
+def test_triangles_are_cut_through_the_middle_of_their_longest_edge(overlap):
+    triangle = torch.tensor([[[0, 0, 0], [4, 0, 0], [1, 1, 0]]]).double()
+    ((left, right),) = halve(triangle, torch.tensor([overlap], dtype=torch.float64)).tolist()
+    np.testing.assert_allclose(left, [[1, 1, 0], [0, 0, 0], [2 + overlap, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(right, [[1, 1, 0], [2 - overlap, 0, 0], [4, 0, 0]], atol=1e-12)
+
+
 def test_overlapping_parts_reach_into_each_other():
     field = prism_field(5)
     apart, over = (halve(field.points, torch.full((5,), overlap)) for overlap in (0.0, 0.5))

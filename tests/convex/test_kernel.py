@@ -22,7 +22,7 @@ def compare(field: ConvexField, width: int = 37, height: int = 21) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in HARD_CASES if name != "behind"])
-@pytest.mark.parametrize("points", range(4, 13))
+@pytest.mark.parametrize("points", range(3, 13))
 def test_hard_cases(name: str, points: int) -> None:
     compare(hard_case(name, points, seed=points))
 

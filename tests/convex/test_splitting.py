@@ -135,6 +135,22 @@ def test_merging_undoes_a_split_and_conserves_occupancy():
     assert len(merge(parts, limit=3).field) == 3
 
 
+def test_flat_convexes_split_into_flat_ones_and_do_not_merge():
+    corners = torch.tensor([[0, 0, 0], [4, 0, 0], [2.0, 1, 0]]).double()
+    triangle = random_field(1, points=3).with_points(corners[None])
+    whole = split(triangle, torch.tensor([True]))  # through the corner in the middle
+    areas = 0.5 * torch.linalg.det(whole.field.points[:, 1:, :2] - whole.field.points[:, :1, :2]).abs()
+    torch.testing.assert_close(areas, torch.tensor([1.0, 1.0]).double())
+    assert len(merge(whole.field).field) == 2
+    oblique = {"normals": torch.tensor([[0.0, 1, 0]]).double()}  # the lower part has four corners
+    kept, fewer = (
+        split(triangle, torch.tensor([True]), **oblique, keep_count=keep).field.points for keep in (False, True)
+    )
+    assert kept.shape == (2, 4, 3) and fewer.shape == (2, 3, 3)
+    lower = fewer[fewer[..., 1].amin(dim=1) == 0]
+    assert np.linalg.norm(np.cross(*(lower[0, 1:] - lower[0, 0]))) == pytest.approx(2.0)  # of 3 in both halves
+
+
 def test_what_differs_in_colour_or_place_is_not_merged():
     parts = split(bar(), torch.tensor([True])).field
     painted = ConvexField(*parts.tensors()[:4], parts.harmonics + torch.tensor([0.0, 0.5])[:, None, None])

@@ -80,6 +80,16 @@ def test_the_command_makes_all_files_and_reads_a_finished_one_back(capture, tmp_
     assert isinstance(other.exception, InputError) and "other settings" in str(other.exception)
 
 
+@pytest.mark.slow
+def test_flat_convexes_leave_a_body_with_volume(capture, tmp_path):
+    run(str(capture), "--out", str(tmp_path / "flat"), "--set", "points_per_convex=3", *OPTIONS)
+    found = reconstruct(capture, out=tmp_path / "flat", options=TINY.replace(settings=("points_per_convex=3",)))
+    assert found.field.points.shape[1] == 3 and np.mean([one.psnr for one in found.training]) > 15
+    assert found.body.is_watertight
+    assert found.body.volume == pytest.approx(ball_mesh(2).volume, rel=0.2)  # 48 × 48 pixels, few steps
+    assert (tmp_path / "flat" / "hulls.glb").stat().st_size > 1000
+
+
 def test_a_run_that_was_killed_goes_on_to_the_same_field(capture, tmp_path, monkeypatch):
     monkeypatch.setattr("inference.reconstruction._STORE_EVERY", 0.0)
 

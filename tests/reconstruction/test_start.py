@@ -183,8 +183,13 @@ def test_hulls_of_more_or_fewer_points(count):
         assert 0.2 * volume < ConvexHull(found).volume < 1.3 * volume
 
 
+def test_with_three_points_the_outer_triangle_is_left():
+    wedge = np.arange(18.0).reshape(1, 6, 3)
+    np.testing.assert_array_equal(with_count(wedge, 3), wedge[:, :3])
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [4, 8])
+@pytest.mark.parametrize("count", [3, 4, 8])
 def test_a_reconstruction_has_the_points_that_were_asked_for(seen, count):
     config = ReconstructionConfig(budget=600, steps=12, refinements=2, points_per_convex=count)
     field = fit_field(begin(start_field(seen, config, mesh=ball_mesh())), seen, config).field()
