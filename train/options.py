@@ -116,18 +116,23 @@ class PaperOptions(Options):
     adam_steps: int = 400
     """Steps of Adam in the method of the paper; 0 leaves it out."""
     ablation: tuple[int, ...] = (8, 10, 12)
-    """Number M of weights of the reduced model alone; repeatable."""
-    ablation_points: Annotated[tuple[int, ...], CommandLine("--points")] = (4, 5, 6, 7, 8)
-    """Number K of points per convex of additional fields with a quarter of the convexes, scored in the refined motion
-    and in the motions of the ablation over M; 0 leaves them out; repeatable."""
-    field_budget: int = 24_000
-    """Most convexes of a convex field."""
-    field_steps: int = 400
-    """Steps of the fit of a convex field."""
+    """Number M of skinning weights in the ablation with K = 4 and K = 6; 0 leaves it out; repeatable."""
+    ablation_points: Annotated[tuple[int, ...], CommandLine("--points")] = (3, 4, 5, 6, 7, 8)
+    """Number K of points per convex in the ablation with M = 10; 0 leaves it out; repeatable."""
+    field_budget: int | None = None
+    """Most convexes of a convex field. Default: that of `refine`."""
+    field_steps: int | None = None
+    """Steps of the fit of a convex field. Default: that of `refine`."""
     checkpoint: str = "default"
     """Name or folder of the checkpoint of the network."""
 
-    @field_validator("ablation_points")
+    @field_validator("ablation", "ablation_points")
     @classmethod
     def _some(cls, counts: tuple[int, ...]) -> tuple[int, ...]:
         return tuple(count for count in counts if count)
+
+    @property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """The pairs (K, M) of both ablations, each once."""
+        over_weights = [(points, weights) for points in (4, 6) for weights in self.ablation]
+        return tuple(sorted({(points, 10) for points in self.ablation_points} | set(over_weights)))

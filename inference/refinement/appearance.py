@@ -25,7 +25,6 @@ from physconvex.io import Camera, Capture
 from physconvex.numerics import device_named
 from physconvex.reconstruction import (
     Observation,
-    ReconstructionConfig,
     begin,
     fit_field,
     observation_of,
@@ -34,6 +33,7 @@ from physconvex.reconstruction import (
 )
 from physconvex.render import render
 
+_BUDGET, _STEPS = 6000, 150  # of a field that starts from a given mesh
 _PARTS = ("points", "smoothness", "sharpness", "opacity", "harmonics")
 
 
@@ -91,7 +91,8 @@ def fitted_field(capture: Capture, options: RefineOptions) -> Arrays:
     """Parts of a field fitted to the first images on `options.device`, and the quality of each camera's image [dB]."""
     mesh = capture.mesh()
     views = capture_views(replace(capture, cameras=capture.pictured), least=2 if mesh is None else 1).training
-    config = ReconstructionConfig(budget=options.field_budget, steps=options.field_steps)
+    budget, steps = options.field_budget or _BUDGET, options.field_steps or _STEPS
+    config = options.reconstruction.replace(budget=budget, steps=steps).resolved
     around = [*views]
     if mesh is not None and len(views) == 1:  # the hidden sides get the mean colour and stay fixed
         around += [_unseen(views[0], mesh, degrees) for degrees in (100.0, 180.0, 260.0)]

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
+from inference.settings import ReconstructOptions
 from physconvex import InputError
 from physconvex.identify import Nuisance
 from physconvex.io import CommandLine, Options
@@ -106,10 +107,12 @@ class RefineOptions(Options):
     """Fit a convex field to the first images and bind it to the body."""
     field_file: Annotated[str | None, _RESULT] = None
     """Use this convex field (PLY) of the body at rest instead of fitting one."""
-    field_budget: Annotated[int, Field(ge=50), CommandLine(hidden=True)] = 6000
-    """Most convexes of the convex field."""
-    field_steps: Annotated[int, Field(ge=1), _RESULT] = 150
-    """Steps of the fit of the convex field."""
+    field_budget: Annotated[int | None, Field(ge=50), _RESULT] = None
+    """Most convexes of the convex field. Default: 16000 if the body is reconstructed, else 6000."""
+    field_steps: Annotated[int | None, Field(ge=1), _RESULT] = None
+    """Steps of the fit of the convex field. Default: 200 if the body is reconstructed, else 150."""
+    field_points: Annotated[int, Field(ge=3, le=9), _RESULT] = 6
+    """Points per convex of the convex field."""
     device: Annotated[str, _RESULT] = "cpu"
     """Torch device of the network and of the convex field, such as cpu or cuda. The rest runs on the CPU."""
     processes: Annotated[int, Field(ge=1), CommandLine(hidden=True)] = 1
@@ -126,6 +129,12 @@ class RefineOptions(Options):
         if ratio is not None and not -1 < ratio < 0.5:
             raise InputError(f"fixed (--fix): poisson_ratio is {ratio:g}; expected more than -1 and less than 0.5")
         return fixed
+
+    @property
+    def reconstruction(self) -> ReconstructOptions:
+        """Settings of the reconstruction of the body, where the capture does not state it."""
+        points = (f"points_per_convex={self.field_points}",)
+        return ReconstructOptions(budget=self.field_budget, steps=self.field_steps, settings=points, device=self.device)
 
     @property
     def own_derivatives(self) -> bool:

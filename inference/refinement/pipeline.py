@@ -27,7 +27,6 @@ from inference.refinement.result import Refinement
 from inference.refinement.rigid_drift import drift_of, drifted, followed_motion, with_drift
 from inference.refinement.stages import Arrays, RefinementRun, Stages, arrays_of_correction, fit_of, key_of, runs_of
 from inference.rest_geometry import RECONSTRUCTION, with_rest_geometry
-from inference.settings import ReconstructOptions
 from models import find_checkpoint
 from physconvex import ConvergenceError, InputError
 from physconvex.fem import SurfacePoints
@@ -101,8 +100,9 @@ def refine(
             "The capture does not state the friction of its floor, so it is fitted, with the prior {:g} ± {:g}; state "
             "it in capture.json if you know it.".format(*_FRICTION)
         )
-    reconstruction = ReconstructOptions(device=options.device)
-    capture = with_rest_geometry(capture, body=options.body, out=folder, options=reconstruction, on_stage=on_stage)
+    capture = with_rest_geometry(
+        capture, body=options.body, out=folder, options=options.reconstruction, on_stage=on_stage
+    )
     settings = {name: value for name, value in options.to_json().items() if name not in _WHERE}
     if capture.body is not None:
         settings["body"] = capture.body.identifier_hash

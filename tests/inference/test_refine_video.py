@@ -205,7 +205,8 @@ def test_pictures_alone_give_the_modulus(motion, tmp_path):
     (images_only / "capture.json").write_text(json.dumps(content))
     stages: list[str] = []
     start = {"log10_youngs_modulus": 4.1, "poisson_ratio": 0.3}
-    options = RefineOptions(initial=start, **FEW, field=False)
+    usual = {"field_budget": None, "field_steps": None}  # of the reconstruction
+    options = RefineOptions(initial=start, **(FEW | usual), field=False)
     found = refine(images_only, out=tmp_path / "out", options=options, on_stage=lambda name, _: stages.append(name))
     assert stages[0] == "reconstruction"
     body = trimesh.load(tmp_path / "out" / "reconstruction" / "body.ply")

@@ -1,35 +1,37 @@
 """Identification, dynamic reconstruction, future prediction and generalisation of every object of a benchmark.
 
-Each part of an object is stored when it is finished (`OUT/objects/NAME.json`), so that an evaluation can be stopped.
+All but the column with the given mesh works from the images of the capture. Each part of an object is stored when it is
+finished (`OUT/objects/NAME.json`), so that an evaluation can be stopped.
 """
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import cached_property, partial
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 
 from data_gen import changed, changes_of
-from inference import ReconstructOptions, Refinement, RefineOptions, predict, reconstruct, refine
+from inference import Refinement, RefineOptions, predict, reconstruct, refine, with_rest_geometry
 from physconvex import ConvergenceError, InputError
 from physconvex.convex import ConvexField, bind_to_tets, read_ply
 from physconvex.dynamics import simulate
 from physconvex.fem import SurfacePoints
 from physconvex.identify import FullModel, TwinOptions, base_twin
-from physconvex.io import Camera, Capture, load_capture
+from physconvex.io import Camera, Capture, load_capture, read_mesh
 from physconvex.mesh import Embedding, TetMesh
-from physconvex.reconstruction import ReconstructionConfig
 from train.options import PaperOptions
 from train.paper.pictures import score_pictures
 from train.paper.published_way import NAMES, fit_as_published
 from train.paper.rows import Change, ObjectRow, PaperPart, PictureScores
 
 CONSTANT = (5.5, 0.345)  # the middle of the ranges 1e4 to 1e7 Pa and .2 to .49
+POINTS = 6  # per convex, of the main columns
 
 
 def evaluate_paper(
@@ -102,11 +104,12 @@ class _Object:
     ) -> None:
         self.name, self.options, self.on_part = name, options, on_part
         self.capture: Capture = load_capture(benchmark / "captures" / name)
-        self.first, self.truth = benchmark / "first_frames" / name, benchmark / "truth" / name
+        self.truth = benchmark / "truth" / name
         self.work, self.file = out / "work" / name, out / "objects" / f"{name}.json"
         self.true = json.loads((self.truth / "truth.json").read_text(encoding="utf-8"))
         self.cameras = [Camera.from_json(c) for c in json.loads((self.truth / "cameras.json").read_text("utf-8"))]
-        self.refinements: dict[str, Refinement] = {}
+        self.corrected: Refinement | None = None
+        self.aside = np.zeros(2)
         self.row = ObjectRow.read(self.file) if self.file.exists() else ObjectRow(name)
 
     def evaluate(self, comparing: bool) -> None:
@@ -118,33 +121,44 @@ class _Object:
 
     def _main(self) -> list[tuple[str, Callable[[], PaperPart]]]:
         return [
-            ("constant", lambda: self._errors(np.array(CONSTANT))),
+            ("reconstruction", partial(self._reconstruction, POINTS)),
+            ("constant", self._constant),
             ("network", self._network),
-            ("field", self._field),
-            ("refined", self._refined),
+            ("corrected", self._corrected),
             ("followed", self._followed),
+            ("given_mesh", self._given_mesh),
         ]
 
     def _comparisons(self) -> list[tuple[str, Callable[[], PaperPart]]]:
         options = self.options
-        published = [("published_way", self._published_way)] if options.adam_steps else []
-        over_weights = [(f"reduced_M{m}", partial(self._reduced, m)) for m in options.ablation]
-        return published + over_weights + [(f"points_K{k}", partial(self._points, k)) for k in options.ablation_points]
+        parts = [("published_way", self._published_way)] if options.adam_steps else []
+        for points in dict.fromkeys(points for points, _ in options.pairs if points != POINTS):
+            parts.append((f"reconstruction_K{points}", partial(self._reconstruction, points)))
+        return parts + [(f"convex_K{k}_M{m}", partial(self._convex_twin, k, m)) for k, m in options.pairs]
 
     def _part(self, part: str, compute: Callable[[], PaperPart]) -> None:
         if part in self.row.parts:
             return
         if self.on_part is not None:
             self.on_part(self.name, part)
-        clock, wall = time.process_time(), time.perf_counter()
+        start, self.aside = _clock(), np.zeros(2)
         try:
             found = compute()
         except (ConvergenceError, InputError) as error:  # a failure is a result here, with its reason
             found = PaperPart(failure=f"{type(error).__name__}: {error}")
-        found["process_seconds"] = round(time.process_time() - clock, 1)
-        found["seconds"] = round(time.perf_counter() - wall, 1)
+        spent = _clock() - start - self.aside
+        found["process_seconds"], found["seconds"] = (round(float(t), 1) for t in spent)
         self.row.parts[part] = found
         self.row.write(self.file)
+
+    @contextmanager
+    def _scoring(self) -> Iterator[None]:
+        """What is done inside does not count as time of the part."""
+        start = _clock()
+        try:
+            yield
+        finally:
+            self.aside = self.aside + _clock() - start
 
     def _true(self, name: str) -> float:
         return float(np.log10(self.true["youngs_modulus"])) if name == NAMES[0] else float(self.true[name])
@@ -163,23 +177,9 @@ class _Object:
             out["pictures"] = {"future": {"front": PictureScores(psnr=means[0], ssim=means[1])}}
         return out
 
-    # -- parts
+    # -- the body from images, and models on it
 
-    def _network(self) -> PaperPart:
-        found = predict(self.capture.folder, checkpoint=self.options.checkpoint)
-        return self._errors(np.array([np.log10(found.youngs_modulus), found.poisson_ratio]))
-
-    def _field(self) -> PaperPart:
-        options = ReconstructOptions(budget=self.options.field_budget, steps=self.options.field_steps)
-        found = reconstruct(self.first, out=self.work / "field", options=options)
-        return PaperPart(convexes=len(found.field), psnr=float(np.mean([score.psnr for score in found.training])))
-
-    def _refine(self, options: RefineOptions, name: str) -> Refinement:
-        if name not in self.refinements:
-            self.refinements[name] = refine(self.capture.folder, out=self.work / name, options=options)
-        return self.refinements[name]
-
-    def _settings(self) -> RefineOptions:
+    def _settings(self, points: int = POINTS) -> RefineOptions:
         options = self.options
         return RefineOptions(
             observations="video",
@@ -189,12 +189,108 @@ class _Object:
             steps_per_frame=options.steps_per_frame,
             full_runs=options.full_runs,
             model_error=options.model_error,
-            field=False,
+            field_budget=options.field_budget,
+            field_steps=options.field_steps,
+            field_points=points,
             checkpoint=options.checkpoint,
         )
 
-    def _refined(self) -> PaperPart:
-        found = self._refine(self._settings(), "refined")
+    def _folder(self, points: int) -> Path:
+        """Of the refinements from images, which share one reconstruction."""
+        return self.work / f"K{points}"
+
+    @cached_property
+    def _body(self) -> Capture:
+        """The capture with the reconstructed body."""
+        return with_rest_geometry(self.capture, out=self._folder(POINTS), options=self._settings().reconstruction)
+
+    @cached_property
+    def _field(self) -> ConvexField:
+        return read_ply(self._folder(POINTS) / "reconstruction" / "field.ply")
+
+    def _full_model(self, names: tuple[str, ...], mesh: TetMesh | None = None) -> FullModel:
+        """The full-order model of the reconstructed body, at the points whose true motion is known."""
+        options = self.options
+        sizes = TwinOptions(max_nodes=options.max_nodes, steps_per_frame=options.steps_per_frame, fill=True)
+        twin = base_twin(self._body, sizes)
+        surface = SurfacePoints.of_triangles(*twin.surface) if twin.scene.obstacles else None
+        with np.load(self.truth / "points.npz") as arrays:
+            return FullModel(twin, names, arrays["rest"], self.capture.frames, mesh, surface=surface)
+
+    # -- parts
+
+    def _reconstruction(self, points: int) -> PaperPart:
+        options = self._settings(points).reconstruction
+        found = reconstruct(self.capture.folder, out=self._folder(points) / "reconstruction", options=options)
+        means = [float(np.mean([getattr(score, name) for score in found.training])) for name in ("psnr", "ssim")]
+        out = PaperPart(convexes=len(found.field), first_images=PictureScores(psnr=means[0], ssim=means[1]))
+        if found.body is not None:
+            true = read_mesh(self.truth / "mesh.ply")
+            out["volume_error"] = float(found.body.volume / true.volume - 1)
+        return out
+
+    def _constant(self) -> PaperPart:
+        return self._stated(np.array(CONSTANT))
+
+    def _network(self) -> PaperPart:
+        found = predict(self.capture.folder, checkpoint=self.options.checkpoint)
+        return self._stated(np.array([np.log10(found.youngs_modulus), found.poisson_ratio]))
+
+    def _stated(self, values: np.ndarray) -> PaperPart:
+        """Values that are fitted to nothing, and the full-order model's motion with them."""
+        out = self._errors(values)
+        with self._scoring():
+            model = self._full_model(NAMES)
+            out |= self._motion(model.rolled_mesh, model.node_positions(values), self._field, self.cameras)
+        return out
+
+    def _corrected(self) -> PaperPart:
+        found = self._corrected_fit()
+        out = self._fitted(found, self.cameras)
+        out["reduced_model_rms_m"] = list(found.motion.reduced_gap)
+        with self._scoring():
+            out["changes"] = self._changes(found)
+        return out
+
+    def _corrected_fit(self) -> Refinement:
+        if self.corrected is None:
+            self.corrected = refine(self.capture.folder, out=self._folder(POINTS), options=self._settings())
+        return self.corrected
+
+    def _followed(self) -> PaperPart:
+        """The same with the rigid drift after the contact."""
+        found = self._corrected_fit()
+        motion = found.followed or found.motion
+        out = PaperPart(drift=found.drift.to_json() if found.drift else None)
+        with self._scoring():
+            out |= self._motion(motion.mesh, motion.nodes, self._field, self.cameras)
+        return out
+
+    def _given_mesh(self) -> PaperPart:
+        """The same with the true surface."""
+        options = self._settings().replace(body=self.truth / "mesh.ply")
+        return self._fitted(refine(self.capture.folder, out=self.work / "given_mesh", options=options), self.cameras)
+
+    def _convex_twin(self, points: int, weights: int) -> PaperPart:
+        """The fit of the reduced model alone, with so many points per convex and skinning weights."""
+        settings = self._settings(points).replace(weights=weights, correction=False, model_error=False, colours=False)
+        found = refine(self.capture.folder, out=self._folder(points), options=settings)
+        return self._fitted(found, self.cameras[:1])
+
+    def _published_way(self) -> PaperPart:
+        network = self.row.parts["network"]
+        start = np.array(network["values"] if "values" in network else CONSTANT)
+        found = fit_as_published(self._body, start, steps=self.options.adam_steps, max_nodes=self.options.max_nodes)
+        out = self._errors(found.values)
+        out["misfit"], out["steps"] = found.misfit, found.steps
+        with self._scoring():
+            out |= self._motion(found.twin.mesh, found.nodes, self._field, self.cameras)
+        return out
+
+    # -- scores
+
+    def _fitted(self, found: Refinement, cameras: Sequence[Camera]) -> PaperPart:
+        """Estimates with their intervals, and the scores of the motion."""
         estimates = [found[name] for name in NAMES]
         wanted = [self._true(name) for name in NAMES]
         intervals = [e.interval for e in estimates]
@@ -204,52 +300,37 @@ class _Object:
             None if i is None else bool(i[0] <= w <= i[1]) for i, w in zip(intervals, wanted, strict=True)
         ]
         out["in_words"] = [*found.identifiability.sentences, *found.warnings]
-        out["reduced_model_rms_m"] = list(found.motion.reduced_gap)
-        out.update(self._motion(found.motion.mesh, found.motion.nodes))
-        out["changes"] = self._changes(found)
+        field = None if found.appearance is None else found.appearance.field
+        with self._scoring():
+            out |= self._motion(found.motion.mesh, found.motion.nodes, field, cameras)
         return out
 
-    def _followed(self) -> PaperPart:
-        """The same with the rigid drift after the contact."""
-        found = self._refine(self._settings(), "refined")
-        motion = found.followed or found.motion
-        out = PaperPart(drift=found.drift.to_json() if found.drift else None)
-        out.update(self._motion(motion.mesh, motion.nodes))
-        return out
-
-    def _motion(self, mesh: TetMesh, nodes: np.ndarray) -> PaperPart:
-        """Distance of the surface from the truth, and scores of the pictures, observed and future."""
-        seen = self.capture.observed_frames
-        parts = {"observed": range(0, seen), "future": range(seen, self.capture.frames)}
+    def _motion(
+        self, mesh: TetMesh, nodes: np.ndarray, field: ConvexField | None, cameras: Sequence[Camera]
+    ) -> PaperPart:
+        """Distance of the surface from the truth; scores of the pictures, observed and future, with a field on it."""
         with np.load(self.truth / "points.npz") as arrays:
             gaps = Embedding.of_points(mesh, arrays["rest"]).apply(nodes) - arrays["positions"]
-        distance = np.sqrt(np.square(gaps).sum(-1).mean(-1))
-        out = PaperPart(rms_m=distance.tolist(), pictures={})
-        if "failure" in self.row.parts["field"]:
-            return out
-        field = read_ply(self.work / "field" / "field.ply")
-        for label, frames in parts.items():
-            if len(frames):
-                out["pictures"][label] = self._scores(field, mesh, nodes, frames)
+        out = PaperPart(rms_m=np.sqrt(np.square(gaps).sum(-1).mean(-1)).tolist())
+        if field is not None:
+            seen = self.capture.observed_frames
+            parts = {"observed": range(0, seen), "future": range(seen, self.capture.frames)}
+            bound = bind_to_tets(field, mesh)
+            out["convexes"] = len(field)
+            out["pictures"] = {
+                label: score_pictures([bound.at(nodes[t]) for t in frames], cameras, self.truth, frames)
+                for label, frames in parts.items()
+                if len(frames)
+            }
         return out
-
-    def _scores(self, field: ConvexField, mesh: TetMesh, nodes: np.ndarray, frames: range) -> dict[str, PictureScores]:
-        """Of the pictures of a field that moves as a mesh does."""
-        bound = bind_to_tets(field, mesh)
-        return score_pictures([bound.at(nodes[t]) for t in frames], self.cameras, self.truth, frames)
 
     def _changes(self, found: Refinement) -> dict[str, Change]:
         """Rms distance [m] from the truth under the same change, and the distance that the change moves the truth."""
-        options, names = self.options, tuple(e.name for e in found.estimates)
-        twin = base_twin(
-            self.capture, TwinOptions(max_nodes=options.max_nodes, steps_per_frame=options.steps_per_frame)
-        )
-        surface = SurfacePoints.of_triangles(*twin.surface) if twin.scene.obstacles else None
+        model = self._full_model(tuple(e.name for e in found.estimates), found.motion.mesh)
+        usual = model.roll_out(np.array([e.value for e in found.estimates]))
+        points = Embedding.of_points(found.motion.mesh, model.points)
         out = {}
         with np.load(self.truth / "points.npz") as arrays:
-            model = FullModel(twin, names, arrays["rest"], self.capture.frames, found.motion.mesh, surface=surface)
-            usual = model.roll_out(np.array([e.value for e in found.estimates]))
-            points = Embedding.of_points(found.motion.mesh, arrays["rest"])
             for change in changes_of(usual.scene):
                 run = simulate(changed(usual.scene, change), usual.timing)
                 gap = points.apply(run.positions) - arrays[f"positions_{change}"]
@@ -258,37 +339,7 @@ class _Object:
                 out[change] = Change(rms_m=distances[0], change_rms_m=distances[1])
         return out
 
-    def _published_way(self) -> PaperPart:
-        network = self.row.parts["network"]
-        start = np.array(network["values"] if "values" in network else CONSTANT)
-        found = fit_as_published(self.capture, start, steps=self.options.adam_steps, max_nodes=self.options.max_nodes)
-        out = self._errors(found.values)
-        out["misfit"], out["steps"] = found.misfit, found.steps
-        out.update(self._motion(found.twin.mesh, found.nodes))
-        return out
 
-    def _points(self, count: int) -> PaperPart:
-        """A field of K points per convex: its first images, and its pictures in the motions of several models."""
-        budget = max(50, self.options.field_budget // 4)
-        config = ReconstructionConfig(budget=budget, steps=self.options.field_steps, points_per_convex=count)
-        options = ReconstructOptions(config=config)
-        found = reconstruct(self.first, out=self.work / f"field_{count}", options=options)
-        means = [float(np.mean([getattr(score, name) for score in found.training])) for name in ("psnr", "ssim")]
-        motions = {"refined": self._refine(self._settings(), "refined").motion}
-        motions |= {f"M{m}": self._reduced_refinement(m).motion for m in self.options.ablation}
-        observed = range(0, self.capture.observed_frames)
-        return PaperPart(
-            convexes=len(found.field),
-            first_images=PictureScores(psnr=means[0], ssim=means[1]),
-            observed={
-                name: self._scores(found.field, motion.mesh, motion.nodes, observed) for name, motion in motions.items()
-            },
-        )
-
-    def _reduced_refinement(self, weights: int) -> Refinement:
-        settings = self._settings().replace(weights=weights, correction=False, model_error=False, colours=False)
-        return self._refine(settings, f"reduced_{weights}")
-
-    def _reduced(self, weights: int) -> PaperPart:
-        found = self._reduced_refinement(weights)
-        return self._errors(np.array([found[name].value for name in NAMES]))
+def _clock() -> np.ndarray:
+    """Processor time and wall-clock time [s]."""
+    return np.array([time.process_time(), time.perf_counter()])

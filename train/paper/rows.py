@@ -56,11 +56,10 @@ class PaperPart(TypedDict, total=False):
     pictures: dict[str, dict[str, PictureScores]]
     changes: dict[str, Change]
     drift: dict[str, JsonValue] | None
-    # of a field: its first images, and in the motion of each model its observed pictures by view
+    # of a reconstruction: primitives, quality of the first images, volume less that of the true surface, as a share
     convexes: int
-    psnr: float
     first_images: PictureScores
-    observed: dict[str, dict[str, PictureScores]]
+    volume_error: float
     # of the truth itself, compared with half its nodes and half its steps
     nodes: int
     overlap: float
