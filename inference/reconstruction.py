@@ -20,7 +20,7 @@ from PIL import Image
 from pydantic import JsonValue
 
 import physconvex
-from inference.reconstruction_views import CaptureViews, capture_views
+from inference.reconstruction_views import CaptureViews, capture_views, warnings_on_views
 from inference.settings import ReconstructOptions
 from physconvex import InputError
 from physconvex.convex import ConvexField, read_ply, write_glb, write_ply
@@ -31,6 +31,7 @@ from physconvex.reconstruction import (
     FitState,
     Observation,
     ReconstructionConfig,
+    SurfaceError,
     ViewScore,
     begin,
     body_surface,
@@ -38,10 +39,12 @@ from physconvex.reconstruction import (
     fill_gaps,
     fit_field,
     load_fit,
+    missing_sides,
     save_fit,
     score_views,
     start_field,
     start_kind,
+    surface_error,
 )
 from physconvex.render import film, orbit
 
@@ -54,6 +57,7 @@ _Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])  #
 _STORE_EVERY = 20.0  # seconds
 _DIFFERENCE_GAIN = 4.0
 _FILM_FRAMES, _FILM_RATE = 48, 24.0
+_MUCH = 0.2  # of the surface, closed by a membrane, of which the user is told; 12 pictures from around leave a tenth
 
 
 class ScoreTable(TypedDict):
@@ -65,10 +69,16 @@ class ScoreTable(TypedDict):
 
 
 class BodyRecord(TypedDict):
-    """The body's surface: volume [m³], longest edge of its bounding box [m], time to find it [s]."""
+    """The body's surface.
+
+    Volume [m³], longest edge of its bounding box [m], number of pictures, share of the surface that fewer than two of
+    them show, time to find it [s].
+    """
 
     volume: float
     size: float
+    views: int
+    unseen: float
     seconds: float
 
 
@@ -84,6 +94,7 @@ class ReconstructionRecord(TypedDict):
     silhouettes: list[str]
     seconds: float
     body: BodyRecord | None
+    warnings: list[str]
     training: ScoreTable
     held_out: ScoreTable
     config: dict[str, JsonValue]
@@ -96,6 +107,8 @@ class Reconstruction:
     Attributes:
         field: the convexes at rest, world frame.
         body: closed surface of the body [m], coloured; None if no point in space projects into all silhouettes.
+        error: how far that may be from the body's; None without it.
+        warnings: notes for the user: views that contradict each other, sides that none shows.
         training, held_out: scores of the fitted views and of the others.
         start: source of the first convexes: mesh, hull or points.
         silhouettes: source of the object's silhouettes.
@@ -114,6 +127,8 @@ class Reconstruction:
     body_seconds: float
     config: ReconstructionConfig
     out: Path | None = None
+    error: SurfaceError | None = None
+    warnings: tuple[str, ...] = ()
 
     def _repr_html_(self) -> str:
         """Scores of the views and a picture of the field, for a notebook."""
@@ -136,16 +151,22 @@ class Reconstruction:
             "silhouettes": list(self.silhouettes),
             "seconds": self.seconds,
             "body": self._body_record(),
+            "warnings": list(self.warnings),
             "training": _table(self.training),
             "held_out": _table(self.held_out),
             "config": self.config.model_dump(mode="json"),
         }
 
     def _body_record(self) -> BodyRecord | None:
-        if self.body is None:
+        if self.body is None or self.error is None:
             return None
-        volume, size = float(self.body.volume), float(self.body.extents.max())
-        return {"volume": volume, "size": size, "seconds": self.body_seconds}
+        return {
+            "volume": float(self.body.volume),
+            "size": float(self.body.extents.max()),
+            "views": len(self.training),
+            "unseen": self.error.unseen_share,
+            "seconds": self.body_seconds,
+        }
 
 
 def _table(scores: Sequence[ViewScore]) -> ScoreTable:
@@ -192,7 +213,7 @@ def reconstruct(
     if folder is not None:
         finished = _prepared(folder, claim, redo=redo)
         if finished is not None:
-            return _read(folder, finished, config)
+            return _read(folder, finished, config, views)
     state = None if folder is None else load_fit(folder / STATE, claim=claim)
     mesh = source.mesh()
     kind = start_kind(config.start, mesh=mesh is not None, points=given is not None)
@@ -205,11 +226,16 @@ def reconstruct(
     body = _body(field, views)
     body_seconds = time.perf_counter() - clock
     field = _filled(field, state, body or body_surface(kind, views.training, mesh), config)
+    error = None if body is None else surface_error(body, views.training)
+    warnings = (*warnings_on_views(views.training), *_on_unseen(body, error, views))
+    for warning in warnings:
+        _LOG.warning("reconstruct: %s", warning)
     trained, tested = (score_views(field.to(place), part) for part in (views.training, views.held_out))
     training, held_out = (tuple(one for one, _ in part) for part in (trained, tested))
     result = Reconstruction(
-        field, body, training, held_out, kind, views.silhouettes, state.seconds, body_seconds, config, folder
-    )
+        field, body, training, held_out, kind, views.silhouettes, state.seconds, body_seconds, config, folder,
+        error=error, warnings=warnings,
+    )  # fmt: skip
     _LOG.info("reconstruct: %d convexes from the %s in %.0f s", len(field), kind, state.seconds)
     if folder is not None:
         pictures = [image for _, image in (*trained, *tested)]
@@ -236,6 +262,19 @@ def _body(field: ConvexField, views: CaptureViews) -> trimesh.Trimesh | None:
     except InputError as error:
         _LOG.warning("reconstruct: no surface of the body: %s", error)
         return None
+
+
+def _on_unseen(body: trimesh.Trimesh | None, error: SurfaceError | None, views: CaptureViews) -> list[str]:
+    """A warning where much of the body is closed by a membrane, with the sides that no camera sees."""
+    if body is None or error is None or error.unseen_share < _MUCH:
+        return []
+    centre = body.bounds.mean(axis=0)
+    missing = missing_sides(np.array([seen.camera.position - centre for seen in views.training]))
+    why = f": {missing}" if missing else " by parts of the body in front of it"
+    return [
+        f"{100 * error.unseen_share:.0f} % of the surface is shown by fewer than two pictures and closed by a "
+        f"membrane{why}."
+    ]
 
 
 def _fit_and_store(
@@ -273,7 +312,7 @@ def _read_points(path: Path) -> np.ndarray:
 
 def _claim(views: CaptureViews, config: ReconstructionConfig, points: np.ndarray | None) -> str:
     """Checksum of everything that the result depends on."""
-    digest = hashlib.sha256(b"field and surface" + config.model_dump_json().encode())
+    digest = hashlib.sha256(b"field, surface and warnings" + config.model_dump_json().encode())
     for part in (views.training, views.held_out):
         digest.update(b"part")
         for seen in part:
@@ -308,7 +347,9 @@ def _prepared(folder: Path, claim: str, *, redo: bool) -> ReconstructionRecord |
     return content
 
 
-def _read(folder: Path, content: ReconstructionRecord, config: ReconstructionConfig) -> Reconstruction:
+def _read(
+    folder: Path, content: ReconstructionRecord, config: ReconstructionConfig, views: CaptureViews
+) -> Reconstruction:
     """A finished reconstruction."""
     training, held_out = (
         tuple(ViewScore(**row) for row in content[part]["views"]) for part in ("training", "held_out")
@@ -318,7 +359,11 @@ def _read(folder: Path, content: ReconstructionRecord, config: ReconstructionCon
     start, seconds, stated = content["start"], content["seconds"], content["body"]
     body = None if stated is None else read_mesh(folder / BODY)
     spent = 0.0 if stated is None else stated["seconds"]
-    return Reconstruction(field, body, training, held_out, start, silhouettes, seconds, spent, config, folder)
+    error = None if body is None else surface_error(body, views.training)
+    return Reconstruction(
+        field, body, training, held_out, start, silhouettes, seconds, spent, config, folder,
+        error=error, warnings=tuple(content["warnings"]),
+    )  # fmt: skip
 
 
 def _write(

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from physconvex import InputError
-from physconvex.io import Capture
-from physconvex.reconstruction import Observation, observation_of
+from physconvex.io import Camera, Capture
+from physconvex.reconstruction import Observation, disagreement, missing_sides, observation_of
 
 _LEAST_VIEWS = 2
 
@@ -42,12 +42,31 @@ def capture_views(capture: Capture, held_out: Sequence[str] = (), *, least: int 
     if training < least:
         raise InputError(
             f"{capture.folder}: {training} view(s) to fit; one view says nothing of depth: expected at least "
-            f"{least}, better 12 from all sides"
+            f"{least}, better 12 from all sides{sides_in_words(capture.cameras)}"
         )
     found = [_observation(capture, camera.name) for camera in capture.cameras]
     fitted = tuple(seen for seen, _ in found if seen.camera.name not in held_out)
     only_scored = tuple(seen for seen, _ in found if seen.camera.name in held_out)
     return CaptureViews(fitted, only_scored, tuple(sorted({source for _, source in found})))
+
+
+def sides_in_words(cameras: Sequence[Camera]) -> str:
+    """The sides of a body that cameras do not see which look at it along their axes, as the end of a sentence."""
+    missing = missing_sides(np.array([camera.rotation[:, 2] for camera in cameras]).reshape(-1, 3))
+    return f"; {missing}" if missing else ""
+
+
+def warnings_on_views(views: Sequence[Observation]) -> tuple[str, ...]:
+    """What a user should know of silhouettes that contradict each other, or that the border of a picture cuts."""
+    found = disagreement(views)
+    warnings = [f"{found[0].upper()}{found[1:]}. Check its pose and its mask."] if found else []
+    for seen in views:
+        inside = seen.coverage > 0.5
+        if inside[[0, -1]].any() or inside[:, [0, -1]].any():
+            warnings.append(
+                f"Camera {seen.camera.name}: the object leaves the picture in frame 0; its silhouette is cut there."
+            )
+    return tuple(warnings)
 
 
 def _observation(capture: Capture, name: str) -> tuple[Observation, str]:

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from inference.reconstruction import RESULT, reconstruct
+from inference.reconstruction import RESULT, Reconstruction, reconstruct
+from inference.reconstruction_views import sides_in_words
 from inference.settings import ReconstructOptions
 from physconvex import InputError
 from physconvex.io import Capture, read_mesh
@@ -28,7 +29,19 @@ def with_rest_geometry(
     options: ReconstructOptions | None = None,
     on_stage: Callable[[str, bool], None] | None = None,
 ) -> Capture:
-    """The capture with a rest geometry.
+    """The capture with a rest geometry, see `rest_geometry_of`."""
+    return rest_geometry_of(capture, body=body, out=out, options=options, on_stage=on_stage)[0]
+
+
+def rest_geometry_of(
+    capture: Capture,
+    *,
+    body: Path | None = None,
+    out: Path | None = None,
+    options: ReconstructOptions | None = None,
+    on_stage: Callable[[str, bool], None] | None = None,
+) -> tuple[Capture, Reconstruction | None]:
+    """The capture with a rest geometry, and the reconstruction that it is from, if it is from one.
 
     Args:
         capture: from a folder.
@@ -42,14 +55,15 @@ def with_rest_geometry(
             capture without geometry whose first frames do not show the body from all around.
     """
     if body is not None:
-        return _with_body(capture, _closed(body))
+        return _with_body(capture, _closed(body)), None
     if capture.mesh() is not None or capture.tets() is not None:
-        return capture
+        return capture, None
     if len(capture.cameras) < 2:
         raise InputError(
             f"{capture.folder}: no rest geometry, and {len(capture.cameras)} camera(s) to find it from; add mesh.obj, "
             ".ply or .glb of the closed surface at t = 0 (or name it as body), or a picture of frame 0 from more "
             "sides: CAMERA.png with CAMERA_mask.png or alpha, and its camera in capture.json"
+            f"{sides_in_words(capture.cameras)}"
         )
     folder = None if out is None else out / RECONSTRUCTION
     if on_stage is not None:
@@ -61,7 +75,7 @@ def with_rest_geometry(
             "cameras' poses and the masks, or give the closed surface as body"
         )
     _LOG.info("rest geometry: %.4g m³ from %d views", found.body.volume, len(found.training))
-    return _with_body(capture, found.body)
+    return _with_body(capture, found.body), found
 
 
 def _closed(path: Path) -> trimesh.Trimesh:

@@ -70,13 +70,15 @@ def _print(found: Refinement, out: Path) -> None:
     from rich.table import Table
 
     console, table = Console(), Table()
-    for column in ("parameter", "value", "90 % interval", "noise σ", "model error"):
+    errors = ("noise σ", "model error", *(() if found.reconstruction is None else ("geometry error",)))
+    for column in ("parameter", "value", "90 % interval", *errors):
         table.add_column(column, justify="left" if column == "parameter" else "right")
     for e in found.estimates:
-        table.add_row(
-            escape(e.label), f"{e.value:.5g}", e.interval_in_words, f"{e.noise_sigma:.2g}", f"{e.model_error:.2g}"
-        )
+        parts = (e.noise_sigma, e.model_error, e.geometry_error)[: len(errors)]
+        table.add_row(escape(e.label), f"{e.value:.5g}", e.interval_in_words, *(f"{part:.2g}" for part in parts))
     console.print(table)
+    if found.reconstruction is not None:
+        console.print(str(found.reconstruction), highlight=False, soft_wrap=True)
     console.print(f"Young's modulus {found.youngs_modulus:.4g} Pa, Poisson's ratio {found.poisson_ratio:.4f}")
     for sentence in (*found.identifiability.sentences, *found.warnings):
         console.print(sentence, highlight=False, markup=False)

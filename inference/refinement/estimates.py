@@ -40,6 +40,7 @@ def fitted_parameters(
     sources: Sequence[slice],
     *,
     stated: Sequence[bool],
+    by_geometry: Float[np.ndarray, " K"] | None = None,
     followed: bool = True,
 ) -> tuple[FittedParameter, ...]:
     """Each parameter with its standard deviations.
@@ -52,18 +53,21 @@ def fitted_parameters(
         sources: the residuals of each source; each is tested on its own, so that many good ones do not hide a bad one.
         stated: whether the recording states the noise of each source; the noise of images is the size of their
             residuals.
+        by_geometry: deviation by the error of a reconstructed body, NaN where unknown; None with a given geometry.
         followed: whether the model fits the recording; if not, there are no intervals.
     """
     sigmas = marginal_deviations(found, _variances(found, sources, stated))
     sigmas = np.maximum(sigmas, clustered_deviations(found, frames))
+    geometry = np.zeros(len(left)) if by_geometry is None else by_geometry
+    total = np.sqrt(np.square(np.nan_to_num([sigmas, left, geometry])).sum(axis=0))
     out = []
-    for p, value, sigma, beside in zip(
-        found.parameters, *map(np.ndarray.tolist, (found.values, sigmas, left)), strict=True
-    ):
-        bounded = interval_of(value, float(np.hypot(sigma, np.nan_to_num(beside))), p.lower, p.upper)
+    for k, p in enumerate(found.parameters):
+        value = float(found.values[k])
+        bounded = interval_of(value, float(total[k]), p.lower, p.upper)
         interval = bounded if followed and p.name not in told.at_bounds else None
         prior = (p.prior_mean, p.prior_sigma) if np.isfinite(p.prior_sigma) else None
-        out.append(FittedParameter(p.name, value, sigma, beside, interval, p.lower, p.upper, prior))
+        parts = (float(sigmas[k]), float(left[k]))
+        out.append(FittedParameter(p.name, value, *parts, interval, p.lower, p.upper, prior, float(geometry[k])))
     return tuple(out)
 
 

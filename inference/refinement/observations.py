@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool
 
+from inference.refinement.mask_notes import check_masks
 from inference.refinement.options import RefineOptions
 from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import InputError
@@ -96,8 +97,10 @@ def observe_capture(run: RefinementRun, twin: Twin) -> tuple[Observed, Twin]:
         sources.append(f"{len(markers.points)} markers")
         twin = start_motion(twin, markers)
     if cameras:
-        seen = _video_parts(run, twin, cameras)
-        notes = tuple(_UNFOLLOWED.format(camera.name) for camera in cameras if _is_unfollowed(camera, capture, seen))
+        views = [(camera, _observed_mask(capture, camera)) for camera in cameras]
+        notes = tuple(note for camera, mask in views if mask is not None for note in check_masks(capture, camera, mask))
+        seen = _video_parts(run, twin, views)
+        notes += tuple(_UNFOLLOWED.format(camera.name) for camera in cameras if _is_unfollowed(camera, capture, seen))
         parts.extend(seen)
         sources.extend(_line(part) for part in seen)
     return Observed(StackedObservations.of(parts), tuple(sources), cameras, notes), twin
@@ -136,10 +139,16 @@ def selected(capture: Capture, options: RefineOptions) -> tuple[bool, tuple[Came
     return tracked and wanted != "video", cameras
 
 
-def _video_parts(run: RefinementRun, twin: Twin, cameras: Sequence[Camera]) -> list[Observations]:
+def _observed_mask(capture: Capture, camera: Camera) -> Bool[np.ndarray, "T H W"] | None:
+    mask = capture.mask(camera.name)
+    return None if mask is None else mask[: capture.observed_frames]
+
+
+def _video_parts(
+    run: RefinementRun, twin: Twin, views: Sequence[tuple[Camera, Bool[np.ndarray, "T H W"] | None]]
+) -> list[Observations]:
     """Points and outlines of each camera; without images or followed points, outlines alone."""
-    capture, surface = run.capture, twin.surface
-    views = [(camera, capture.mask(camera.name)) for camera in cameras]
+    surface = twin.surface
     arrays = run.stages.run("points", lambda: _followed(run, views, surface))
     parts: list[Observations] = []
     for camera, mask in views:
@@ -148,7 +157,7 @@ def _video_parts(run: RefinementRun, twin: Twin, cameras: Sequence[Camera]) -> l
             sigma = np.full(pixels.shape[:2], FollowOptions().sigma)
             parts.append(PixelObservations(camera, arrays[f"{camera.name}/points"], pixels, sigma))
         if run.options.outlines and mask is not None:
-            parts.append(OutlineObservations.of_masks(camera, mask[: capture.observed_frames], *surface))
+            parts.append(OutlineObservations.of_masks(camera, mask, *surface))
     return parts
 
 

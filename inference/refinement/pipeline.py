@@ -17,16 +17,17 @@ from inference.refinement.coarse_start import START_OPTIONS, coarse_start
 from inference.refinement.colour_search import fit_colours
 from inference.refinement.estimates import fitted_parameters, with_model_error
 from inference.refinement.fine_fit import fit_on_more_nodes
+from inference.refinement.geometry_error import geometry_error
 from inference.refinement.meshes import comparison_mesh
 from inference.refinement.motion import future_rms, refined_motion
 from inference.refinement.observations import observe_capture, selected
 from inference.refinement.options import RefineOptions
 from inference.refinement.problem import Problem, material_of, started_from
 from inference.refinement.reduced_search import ReducedSearch
-from inference.refinement.result import Refinement
+from inference.refinement.result import Refinement, row_of
 from inference.refinement.rigid_drift import drift_of, drifted, followed_motion, with_drift
 from inference.refinement.stages import Arrays, RefinementRun, Stages, arrays_of_correction, fit_of, key_of, runs_of
-from inference.rest_geometry import RECONSTRUCTION, with_rest_geometry
+from inference.rest_geometry import RECONSTRUCTION, rest_geometry_of
 from models import find_checkpoint
 from physconvex import ConvergenceError, InputError
 from physconvex.fem import SurfacePoints
@@ -100,18 +101,18 @@ def refine(
             "The capture does not state the friction of its floor, so it is fitted, with the prior {:g} ± {:g}; state "
             "it in capture.json if you know it.".format(*_FRICTION)
         )
-    capture = with_rest_geometry(
+    capture, made = rest_geometry_of(
         capture, body=options.body, out=folder, options=options.reconstruction, on_stage=on_stage
     )
+    warnings += [] if made is None else made.warnings
     settings = {name: value for name, value in options.to_json().items() if name not in _WHERE}
     if capture.body is not None:
         settings["body"] = capture.body.identifier_hash
-    reconstructed = capture.body is not None and options.body is None
-    if reconstructed and folder is not None and options.field and options.field_file is None:
+    if made is not None and folder is not None and options.field and options.field_file is None:
         options = options.replace(field_file=str(folder / RECONSTRUCTION / FIELD))
     stages = Stages(folder, key_of(capture.folder, settings), on_stage)
     with Workers(options.processes) as workers:
-        return _refined(RefinementRun(capture, options, stages, workers, warnings))
+        return _refined(RefinementRun(capture, options, stages, workers, warnings, made))
 
 
 def _stated(name: str, options: RefineOptions) -> bool:
@@ -152,6 +153,7 @@ def _refined(run: RefinementRun) -> Refinement:
     problem = with_drift(run, problem, found, "drift_last")
     full = problem.full(run.memory)
     told = with_model_error(run, full, found, problem.seen, on_twin=None if problem.mesh is None else on_twin)
+    by_geometry = geometry_error(run, full, told.fit, problem.seen)
     field_fit = start_field_fit(run)
     motion = refined_motion(run, full, told.fit, mesh=told.mesh)
     appearance = appearance_of(run, motion, field_fit)
@@ -163,7 +165,7 @@ def _refined(run: RefinementRun) -> Refinement:
     run.warnings += [*not_followed, *(() if drift is None else drift.sentences())]
     estimates = fitted_parameters(
         found, told.left, known, problem.seen.frames, seen.residual_slices,
-        stated=seen.stated, followed=not not_followed,
+        by_geometry=by_geometry, stated=seen.stated, followed=not not_followed,
     )  # fmt: skip
     return Refinement(
         path=str(run.capture.folder),
@@ -187,6 +189,7 @@ def _refined(run: RefinementRun) -> Refinement:
         observed_frames=run.capture.observed_frames,
         sources=problem.observed.sources,
         warnings=tuple(dict.fromkeys(run.warnings)),
+        reconstruction=None if run.reconstruction is None else row_of(run.reconstruction),
     )
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from jaxtyping import Float
 from pydantic import JsonValue
 
+from inference.reconstruction import Reconstruction
 from inference.refinement.appearance import Appearance
 from inference.refinement.motion import RefinedMotion
 from inference.refinement.rigid_drift import RigidDrift
@@ -52,9 +53,11 @@ class FittedParameter:
         noise_sigma: standard deviation from the noise of the data. It is enlarged by the root of the reduced χ² if the
             residual exceeds the stated noise, and at least that of residuals correlated within a frame.
         model_error: standard deviation by the remaining model error; NaN if no finer model is tried.
-        interval: 90 %, of noise and model error together; None at a bound, and if the model does not fit the recording.
+        interval: 90 %, of noise, model and geometry error together; None at a bound, and if the model does not fit the
+            recording.
         lower, upper: bounds.
         prior: mean and standard deviation, or None.
+        geometry_error: standard deviation by the error of a reconstructed body; NaN if unknown, 0 if it is given.
     """
 
     name: str
@@ -65,11 +68,12 @@ class FittedParameter:
     lower: float
     upper: float
     prior: tuple[float, float] | None = None
+    geometry_error: float = 0.0
 
     @property
     def sigma(self) -> float:
-        """Noise and model error together."""
-        return float(np.hypot(self.noise_sigma, np.nan_to_num(self.model_error)))
+        """Noise, model and geometry error together."""
+        return float(np.linalg.norm(np.nan_to_num([self.noise_sigma, self.model_error, self.geometry_error])))
 
     @property
     def label(self) -> str:
@@ -89,6 +93,7 @@ class FittedParameter:
             "unit": unit_of(self.name),
             "noise_sigma": _plain(self.noise_sigma),
             "model_error": _plain(self.model_error),
+            "geometry_error": _plain(self.geometry_error),
             "interval_90": None if self.interval is None else [float(v) for v in self.interval],
             "bounds": [_plain(self.lower), _plain(self.upper)],
             "prior": None if self.prior is None else list(self.prior),
@@ -102,6 +107,42 @@ def interval_of(value: float, sigma: float, lower: float, upper: float) -> tuple
 
 def _plain(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+@dataclass(frozen=True)
+class ReconstructionRow:
+    """The first stage of a refinement without a given geometry.
+
+    Attributes:
+        volume: of the body [m³].
+        size: longest edge of its bounding box [m].
+        views: number of pictures that it is from.
+        unseen: share of its surface that fewer than two pictures show.
+        psnr: mean over the pictures [dB], of the convex field that the body is from.
+        seconds: time of the field's fit and of the body [s].
+    """
+
+    volume: float
+    size: float
+    views: int
+    unseen: float
+    psnr: float
+    seconds: float
+
+    def __str__(self) -> str:
+        return (
+            f"body from {self.views} pictures: {1e6 * self.volume:.4g} cm³, {1e3 * self.size:.4g} mm long, "
+            f"{100 * self.unseen:.0f} % of the surface unseen, PSNR {self.psnr:.1f} dB, {self.seconds:.0f} s"
+        )
+
+
+def row_of(made: Reconstruction) -> ReconstructionRow:
+    """The row of a reconstruction with a body."""
+    record = made.to_json()
+    body, psnr = record["body"], record["training"]["mean"]["psnr"]
+    assert body is not None
+    seconds = record["seconds"] + body["seconds"]
+    return ReconstructionRow(body["volume"], body["size"], body["views"], body["unseen"], psnr, seconds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +172,7 @@ class Refinement:
         appearance: the object as a convex field that moves with the body; None without one.
         drift: rigid drift of the recording from the model after a contact; None if none is likely.
         followed: the motion with that drift, as in the recording (its handles are the model's).
+        reconstruction: of the body; None if its geometry is given.
     """
 
     path: str
@@ -154,6 +196,7 @@ class Refinement:
     appearance: Appearance | None = None
     drift: RigidDrift | None = None
     followed: RefinedMotion | None = None
+    reconstruction: ReconstructionRow | None = None
 
     def __getitem__(self, name: str) -> FittedParameter:
         """The estimate of a free parameter."""
@@ -192,6 +235,7 @@ class Refinement:
             ("Poisson's ratio", f"{self.poisson_ratio:.4f}"),
         ]
         rows += [(f"{e.label} (90 %)", f"{e.value:.5g} ({e.interval_in_words})") for e in self.estimates]
+        rows += [] if self.reconstruction is None else [("reconstruction", str(self.reconstruction))]
         rows.append(("fitted", ", ".join(self.sources)))
         drawn, pictures = io.BytesIO(), []
         try:
@@ -245,4 +289,5 @@ class Refinement:
             "warnings": list(self.warnings),
             "nuisances": {**self.nuisances},
             "rigid_drift": self.drift.to_json() if self.drift else None,
+            "reconstruction": None if self.reconstruction is None else asdict(self.reconstruction),
         }

@@ -17,6 +17,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from inference.reconstruction import Reconstruction
 from inference.refinement.options import RefineOptions
 from physconvex import InputError, __version__
 from physconvex.identify import Candidate, Correction, Fit, FullRun, Iteration, Parameter, RollOuts
@@ -44,6 +45,7 @@ _IN_WORDS = {  # of NAME, and of NAME_… unless that has its own
     "elsewhere": "comparing colours of other rebounds",
     "field": "fitting a convex field to the first images",
     "model_error": "finer model, for the error that is left",
+    "geometry_error": "displaced bodies, for the error of the reconstruction",
     "motion": "predicting all frames",
 }
 
@@ -129,6 +131,7 @@ class RefinementRun:
         stages: the finished stages.
         workers: processes for parallel work.
         warnings: notes for the user.
+        reconstruction: of the body; None if its geometry is given.
         memory: the last roll-outs of full models.
     """
 
@@ -137,6 +140,7 @@ class RefinementRun:
     stages: Stages = field(default_factory=Stages)
     workers: Workers = field(default_factory=Workers)
     warnings: list[str] = field(default_factory=list)
+    reconstruction: Reconstruction | None = None
     memory: RollOuts = field(init=False)
 
     def __post_init__(self) -> None:

@@ -19,5 +19,5 @@ from .fields import (
 )
 from .pictures import frames_of as frames_of
 from .roll_out import PlayedObject as PlayedObject, play as play, play_together as play_together
-from .simulation import simulate_assets as simulate_assets
+from .simulation import configure_assets as configure_assets, simulate_assets as simulate_assets
 from .writing import summary_of as summary_of, write_played as write_played

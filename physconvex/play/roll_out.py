@@ -25,6 +25,7 @@ from physconvex.materials import (
 from physconvex.mesh import TetMesh, enclosed_volume, tetrahedralize, with_volume
 from physconvex.play.assets import Asset, RestSurface
 from physconvex.play.config import BodyMaterialConfig, FloorConfig, PlayConfig
+from physconvex.play.union_surface import surface_of_union
 from physconvex.reduced import (
     BodySamples,
     ReducedBodies,
@@ -173,21 +174,18 @@ def _prepare(asset: Asset, config: PlayConfig, ground: float, *, alone: bool) ->
     if convexes is not None:
         kind = convexes.points
         convexes = advect(convexes, affine_map(torch.as_tensor(linear).to(kind), torch.as_tensor(shift).to(kind)))
+    skin = surface_of_union(convexes) if asset.overlapping and convexes is not None else placed
     mesh = tetrahedralize(
-        (placed.vertices, placed.faces),
-        order=2,
-        method="ftetwild" if asset.overlapping and config.basis.mesher == "auto" else config.basis.mesher,
-        max_nodes=config.basis.max_nodes,
-        match_volume=not asset.overlapping,  # hulls overlap: their volumes do not add up
+        (skin.vertices, skin.faces), order=2, method=config.basis.mesher, max_nodes=config.basis.max_nodes
     )
-    if asset.overlapping and convexes is not None:
+    if skin is not placed and convexes is not None:
         mesh = with_volume(mesh, union_volume(convexes))
     samples = BodySamples.of_mesh(mesh)
-    if not asset.overlapping:  # the surface itself makes contact, not the nodes of the coarse mesh
-        points, areas = placed.contact_points(config.basis.contact_points)
-        closed = enclosed_volume(placed.vertices, placed.faces) is not None
-        shell = Shell(placed.vertices, placed.faces) if closed else samples.shell
-        samples = replace(samples, surface_points=points, surface_areas=areas, shell=shell)
+    # the surface itself makes contact, not the nodes of the coarse mesh
+    points, areas = skin.contact_points(config.basis.contact_points)
+    closed = enclosed_volume(skin.vertices, skin.faces) is not None
+    shell = Shell(skin.vertices, skin.faces) if closed else samples.shell
+    samples = replace(samples, surface_points=points, surface_areas=areas, shell=shell)
     return _Prepared(placed, convexes, _scene(config, mesh, samples, alone=alone))
 
 

@@ -1,4 +1,4 @@
-from .carving import footprint as footprint, visual_hull as visual_hull
+from .carving import footprint as footprint
 from .config import (
     ReconstructionConfig as ReconstructionConfig,
     load_reconstruction_config as load_reconstruction_config,
@@ -20,6 +20,7 @@ from .field_refinement import (
     simplify as simplify,
 )
 from .gap_filling import fill_gaps as fill_gaps
+from .hull_surface import level_surface as level_surface, visual_hull as visual_hull
 from .observation import Observation as Observation, observation_of as observation_of
 from .row_adam import RowAdam as RowAdam
 from .scores import (
@@ -29,4 +30,6 @@ from .scores import (
     structural_similarity as structural_similarity,
 )
 from .start import Start as Start, body_surface as body_surface, start_field as start_field, start_kind as start_kind
+from .surface_errors import SurfaceError as SurfaceError, surface_error as surface_error
 from .triangles import even_triangles as even_triangles, welded as welded
+from .view_checks import disagreement as disagreement, missing_sides as missing_sides

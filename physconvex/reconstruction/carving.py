@@ -1,20 +1,18 @@
-"""The visual hull: the region that projects into every mask (Laurentini 1994)."""
+"""The visual hull, the region that projects into every silhouette (Laurentini 1994): its box, and distances from it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-import pyvista as pv
-import trimesh
 from jaxtyping import Float
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import map_coordinates
 
 from physconvex.errors import InputError
 from physconvex.reconstruction.observation import Observation
 
-CELLS = 96  # along an edge of the cube
 MARGIN = 1.15  # of the cube around the bounds of the views
+MOST_CELLS, LEAST_CELLS, PIXELS = 128, 24, 2.0  # along its edge, of the body's lattice; pixels a cell, at least
 REMEDY = "check the cameras' poses (camera-to-world, OpenGL axes, metres) and the masks"
 
 
@@ -53,6 +51,19 @@ def footprint(observations: Sequence[Observation]) -> float:
     return float(np.mean([float(c.project(centre)[1]) / np.sqrt(c.fl_x * c.fl_y) for c in cameras]))
 
 
+def cell_of(observations: Sequence[Observation]) -> float:
+    """Edge [m] of a cell of the body's lattice: two pixels, or a 128th of the cube around the object."""
+    _, half = object_box(observations)
+    return 2 * half / int(np.clip(2 * half / (PIXELS * footprint(observations)), LEAST_CELLS, MOST_CELLS))
+
+
+def cube_lattice(centre: Float[np.ndarray, " 3"], half: float, cells: int) -> tuple[Float[np.ndarray, "Q 3"], float]:
+    """Points of a lattice of `cells`³ cells in a cube [m], the last coordinate fastest, and the edge of a cell [m]."""
+    ticks = np.linspace(-half, half, cells + 1)
+    points = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3) + centre
+    return points, float(ticks[1] - ticks[0])
+
+
 def hull_distance(observations: Sequence[Observation], positions: Float[np.ndarray, "Q 3"]) -> Float[np.ndarray, " Q"]:
     """Signed distance [m] of positions from the visual hull, negative inside.
 
@@ -65,44 +76,3 @@ def hull_distance(observations: Sequence[Observation], positions: Float[np.ndarr
         away = found * depth / np.sqrt(seen.camera.fl_x * seen.camera.fl_y)
         greatest = np.maximum(greatest, np.where(depth > 0, away, np.inf))
     return greatest
-
-
-def visual_hull(observations: Sequence[Observation], *, cells: int = CELLS) -> trimesh.Trimesh:
-    """Surface of the visual hull, from a lattice of `cells`³.
-
-    Raises:
-        InputError: nothing projects into all masks.
-    """
-    centre, half = object_box(observations)
-    steps = np.linspace(-half, half, cells + 1)
-    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1) + centre
-    inside = np.ones(grid.shape[:3], dtype=bool)
-    for seen in observations:
-        pixels, depth = seen.camera.project(grid[inside])
-        place = np.floor(np.nan_to_num(pixels, nan=-1.0)).astype(int)
-        mask = seen.coverage.numpy() > 0.5
-        within = (depth > 0) & (place >= 0).all(axis=1) & (place < [seen.camera.w, seen.camera.h]).all(axis=1)
-        hit = np.zeros(len(place), dtype=bool)
-        hit[within] = mask[place[within, 1], place[within, 0]]
-        inside[inside] = hit
-    if not inside.any():
-        raise InputError(f"masks: no point in space projects into all {len(observations)} of them; {REMEDY}")
-    smooth = gaussian_filter(np.pad(inside, 1).astype(np.float32), 0.7)
-    return level_surface(smooth, 0.5, origin=centre - half - steps[1] + steps[0], cell=steps[1] - steps[0])
-
-
-def level_surface(
-    values: Float[np.ndarray, "n n n"], level: float, *, origin: Float[np.ndarray, " 3"], cell: float
-) -> trimesh.Trimesh:
-    """Outward oriented surface [m] where values on a lattice reach a level; closed if none at the border does.
-
-    Args:
-        origin: place of the first value [m].
-        cell: distance between neighbours [m].
-    """
-    image = pv.ImageData(dimensions=values.shape, spacing=[cell] * 3, origin=origin)
-    found = image.contour([level], scalars=values.ravel(order="F"), method="flying_edges")
-    surface = trimesh.Trimesh(found.points, found.regular_faces, process=False)
-    if surface.volume < 0:
-        surface.invert()
-    return surface

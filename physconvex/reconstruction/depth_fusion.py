@@ -16,13 +16,13 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_fill_holes, label, minimum_filter
 
 from physconvex.convex import ConvexField
-from physconvex.errors import InputError
-from physconvex.reconstruction.carving import REMEDY, footprint, hull_distance, level_surface, object_box
+from physconvex.reconstruction.carving import cell_of, cube_lattice, hull_distance, object_box
+from physconvex.reconstruction.hull_surface import level_surface
 from physconvex.reconstruction.observation import Observation
 from physconvex.reconstruction.photo_consistency import colours_seen, moved_to_agreement, nearest_pixels
+from physconvex.reconstruction.view_checks import nothing_in_common
 from physconvex.render import render
 
-MOST_CELLS, LEAST_CELLS, PIXELS = 128, 24, 2.0  # along an edge of the cube around the object; pixels a cell, at least
 REACH = 4.0  # cells behind a visible surface of which its depth still tells
 OPAQUE = 0.5  # least alpha of a pixel with a depth
 EVENED = 10  # steps of Taubin's filter on the fused surface
@@ -46,13 +46,11 @@ def closed_surface(
     """
     centre, half = object_box(observations)
     if cells is None:
-        cells = int(np.clip(2 * half / (PIXELS * footprint(observations)), LEAST_CELLS, MOST_CELLS))
-    ticks = np.linspace(-half, half, cells + 1)
-    lattice = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3) + centre
-    cell = float(ticks[1] - ticks[0])
+        cells = round(2 * half / cell_of(observations))
+    lattice, cell = cube_lattice(centre, half, cells)
     hull = hull_distance(observations, lattice)
     if not (hull < 0).any():
-        raise InputError(f"masks: no point in space projects into all {len(observations)} of them; {REMEDY}")
+        raise nothing_in_common(observations)
     near = np.nonzero(hull < 2 * cell)[0]
     distance = hull.copy()
     distance[near] = np.maximum(hull[near], _fused(field, observations, lattice[near], REACH * cell))
@@ -61,7 +59,8 @@ def closed_surface(
         _counting(distance.reshape(shape) < 0).ravel(), hull < THICKER * cell, lattice, observations, cell
     )
     distance[lost] = hull[lost] - THICKER * cell
-    surface = _zero_level(distance.reshape(shape), centre - half, cell)
+    distance = np.abs(distance.reshape(shape)) * np.where(_without_cavities(distance.reshape(shape) < 0), -1, 1)
+    surface = level_surface(distance, origin=centre - half, cell=cell)
     surface = trimesh.smoothing.filter_taubin(surface, iterations=EVENED)
     surface = moved_to_agreement(surface, observations, cell=cell)
     surface.visual = trimesh.visual.ColorVisuals(surface, vertex_colors=colours_seen(surface, observations, cell=cell))
@@ -128,9 +127,6 @@ def _unexplained(
     return lost
 
 
-def _zero_level(distance: Float[np.ndarray, "n n n"], origin: np.ndarray, cell: float) -> trimesh.Trimesh:
-    """Zero level of a lattice of distances: the regions that count, without cavities, which no picture shows."""
-    body = binary_fill_holes(_counting(distance < 0))
-    away = np.maximum(np.abs(distance), 0.01 * cell)  # a level through a point of the lattice has flat triangles
-    distance = np.pad(np.where(body, -away, away), 1, constant_values=cell)
-    return level_surface(distance, 0.0, origin=origin - cell, cell=cell)
+def _without_cavities(inside: Bool[np.ndarray, "n n n"]) -> Bool[np.ndarray, "n n n"]:
+    """The regions that count, without cavities, which no picture shows."""
+    return np.asarray(binary_fill_holes(_counting(inside)))

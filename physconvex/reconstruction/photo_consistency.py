@@ -25,6 +25,7 @@ ROUNDS, FIRST_REACH, NARROWER = 4, 3.0, 0.7  # of the search; its first reach [c
 STEPS = 6  # offsets on either side
 PATCH = 3  # pixels on either side of a vertex
 VIEWS = 4  # that see a vertex best
+AGREE = 2  # pictures that show a place: fewer say nothing of its depth
 STEEPEST = 0.25  # least cosine between a normal and a ray
 HIDDEN = 2.5  # cells behind the nearest surface
 DARK = 0.01  # standard deviation of colour that is noise
@@ -55,10 +56,10 @@ def moved_to_agreement(
         offset, certain = _best_offsets(_correlations(surface, observations, cosines, offsets), offsets, means)
         beyond = hull_distance(observations, vertices)
         rim = (np.abs(beyond) < RIM * cell) & (views > 0)
-        held = np.where(rim, ON_RIM, np.where(views < 2, UNSEEN, UNSURE))
+        held = np.where(rim, ON_RIM, np.where(views < AGREE, UNSEEN, UNSURE))
         kept = vertices - np.maximum(beyond, 0)[:, None] * normals
         wanted = held[:, None] * kept + certain[:, None] * (vertices + offset[:, None] * normals)
-        stiffness = sparse.diags(held + certain) + _smoothness(edges, means, views < 2)
+        stiffness = sparse.diags(held + certain) + _smoothness(edges, means, views < AGREE)
         surface = trimesh.Trimesh(splu(stiffness.tocsc()).solve(wanted), surface.faces, process=False)
     return surface
 
@@ -72,9 +73,14 @@ def colours_seen(
     for cosine, seen in zip(cosines.T, observations, strict=True):
         total += cosine[:, None] ** 2 * _sampled(seen, np.asarray(surface.vertices)).numpy()
     weight = np.square(cosines).sum(axis=1)
-    across = _differences(surface.edges_unique, len(total))
+    across = edge_differences(surface.edges_unique, len(total))
     spread = sparse.diags(weight + 1e-9) + 1e-3 * across.T @ across
     return np.clip(splu(spread.tocsc()).solve(total), 0, 1)
+
+
+def views_of(surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float) -> Int[np.ndarray, " V"]:
+    """Number of pictures that show each vertex of a surface of the accuracy `cell` [m]."""
+    return np.asarray((_cosines(surface, observations, cell) > 0).sum(axis=1))
 
 
 def nearest_pixels(camera: Camera, positions: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
@@ -84,8 +90,8 @@ def nearest_pixels(camera: Camera, positions: np.ndarray) -> tuple[tuple[np.ndar
     return (rows, columns), depths
 
 
-def _cosines(surface: trimesh.Trimesh, observations: Sequence[Observation], cell: float) -> Float[np.ndarray, "V C"]:
-    """Cosine between normal and ray to each camera; zero if hidden or grazing."""
+def facing(surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float) -> Float[np.ndarray, "V C"]:
+    """Cosine between normal and ray to each camera; NaN if hidden."""
     pixel = footprint(observations)
     points, _ = trimesh.sample.sample_surface(surface, int(8 * surface.area / pixel**2), seed=0)
     vertices, normals = np.asarray(surface.vertices), np.asarray(surface.vertex_normals)
@@ -98,8 +104,14 @@ def _cosines(surface: trimesh.Trimesh, observations: Sequence[Observation], cell
         towards = camera.position - vertices
         cosine = np.einsum("vi,vi->v", normals, towards) / np.linalg.norm(towards, axis=1)
         place, depth = nearest_pixels(camera, vertices)
-        cosines[:, column] = np.where((cosine > STEEPEST) & (depth < nearest[place] + HIDDEN * cell), cosine, 0.0)
+        cosines[:, column] = np.where(depth < nearest[place] + HIDDEN * cell, cosine, np.nan)
     return cosines
+
+
+def _cosines(surface: trimesh.Trimesh, observations: Sequence[Observation], cell: float) -> Float[np.ndarray, "V C"]:
+    """Cosine between normal and ray to each camera; zero if hidden or grazing."""
+    cosines = facing(surface, observations, cell=cell)
+    return np.where(cosines > STEEPEST, cosines, 0.0)
 
 
 def _sampled(seen: Observation, positions: Float[np.ndarray, "... 3"]) -> Float[Tensor, "... 3"]:
@@ -175,11 +187,11 @@ def _smoothness(
 ) -> sparse.spmatrix:
     """Bending of the seen part, and a membrane over the edges of the rest, [V, V]."""
     bent = sparse.diags(np.where(unseen, 0.1, 1.0)) @ (sparse.eye(len(unseen)) - means)
-    across = _differences(edges[unseen[edges].any(axis=1)], len(unseen))
+    across = edge_differences(edges[unseen[edges].any(axis=1)], len(unseen))
     return BENDING * bent.T @ bent + MEMBRANE * across.T @ across
 
 
-def _differences(edges: Int[np.ndarray, "E 2"], count: int) -> sparse.spmatrix:
+def edge_differences(edges: Int[np.ndarray, "E 2"], count: int) -> sparse.spmatrix:
     """Difference of the vertices of each edge, [E, count]."""
     rows = np.arange(len(edges)).repeat(2)
     return sparse.csr_matrix((np.tile([1.0, -1.0], len(edges)), (rows, edges.ravel())), (len(edges), count))

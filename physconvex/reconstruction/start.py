@@ -13,9 +13,10 @@ from scipy.spatial import cKDTree
 
 from physconvex.convex import ConvexField, coefficients_of_colour
 from physconvex.errors import InputError
-from physconvex.reconstruction.carving import footprint, visual_hull
+from physconvex.reconstruction.carving import footprint
 from physconvex.reconstruction.config import ReconstructionConfig, StartKind
 from physconvex.reconstruction.first_convexes import UNPAINTED, fillers, octahedra, prisms, with_count
+from physconvex.reconstruction.hull_surface import visual_hull
 from physconvex.reconstruction.observation import Gathered, Observation, gather
 from physconvex.reconstruction.triangles import even_triangles, welded
 

@@ -105,7 +105,8 @@ def test_a_missing_interval_is_not_blamed_on_a_bound(tmp_path, capsys):
     told = SimpleNamespace(sentences=["The model does not follow 3 markers."])
     estimate = FittedParameter("log10_youngs_modulus", 5.47, 0.0035, 0.0025, None, 3.0, 8.0, None)
     _print(SimpleNamespace(
-        estimates=[estimate], youngs_modulus=10**5.47, poisson_ratio=0.49, identifiability=told, warnings=[]
+        estimates=[estimate], youngs_modulus=10**5.47, poisson_ratio=0.49, identifiability=told, warnings=[],
+        reconstruction=None,
     ), tmp_path)  # fmt: skip
     shown = capsys.readouterr().out
     assert "none" in shown and "bound" not in shown and told.sentences[0] in shown

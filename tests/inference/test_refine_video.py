@@ -213,5 +213,9 @@ def test_pictures_alone_give_the_modulus(motion, tmp_path):
     assert body.volume == pytest.approx(0.3 * 0.2 * 0.1, rel=0.04)
     assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.1)
     assert found["poisson_ratio"].value == pytest.approx(TRUTH["poisson_ratio"], abs=0.1)
+    row = found.to_json()["reconstruction"]
+    assert row["views"] == 10 and row["volume"] == pytest.approx(body.volume) and row["psnr"] > 20
+    assert 0.0 < found["log10_youngs_modulus"].geometry_error < 0.1  # stated apart, within the interval
+    assert found["log10_youngs_modulus"].sigma > found["log10_youngs_modulus"].geometry_error
     friction = found["friction"]  # what is not stated of the floor is unknown, not zero
     assert friction.prior == (0.4, 0.3) and any("does not state the friction" in told for told in found.warnings)

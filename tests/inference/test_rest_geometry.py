@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from typer import Typer
+from typer.testing import CliRunner
 
-from inference import ReconstructOptions, with_rest_geometry
+from inference import ReconstructOptions, reconstruct, rest_geometry, with_rest_geometry
+from inference.simulation_command import simulate_command
 from physconvex import InputError
+from physconvex.convex import read_ply
 from physconvex.io import load_capture
 from physconvex.reconstruction import ReconstructionConfig
 from tests.reconstruction.scenes import RADIUS, pictures, ring, speckled_ball
@@ -47,8 +51,12 @@ def test_pictures_of_frame_0_give_a_closed_body_once(bare, tmp_path):
         body = found.mesh()
         assert body is not None and body.is_watertight
         assert body.volume == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.05)
+    record = json.loads((tmp_path / "reconstruction" / "reconstruction.json").read_text())
+    assert record["warnings"] == [] and record["body"]["views"] == 8 and record["body"]["unseen"] < 0.1
     assert stages == [("reconstruction", False), ("reconstruction", True)]
-    assert found.object_size == pytest.approx(2 * RADIUS, rel=0.05)
+    assert found.object_size == body.extents.max()
+    assert body.extents[:2] == pytest.approx(2 * RADIUS, rel=0.02)
+    assert 1.0 < body.extents[2] / (2 * RADIUS) < 1.11  # cameras 34° above and below leave cones at the poles
     written = trimesh.load(tmp_path / "reconstruction" / "body.glb", force="mesh", process=False)
     assert written.extents == pytest.approx(body.extents[[0, 2, 1]], rel=1e-3)
 
@@ -71,10 +79,72 @@ def test_one_camera_and_no_geometry_is_refused_with_what_is_missing(bare, tmp_pa
     content = json.loads((alone / "capture.json").read_text())
     content["cameras"] = content["cameras"][:1]
     (alone / "capture.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"no rest geometry, and 1 camera.*frame 0 from more sides"):
+    with pytest.raises(
+        InputError, match=r"no rest geometry, and 1 camera.*frame 0 from more sides.*no camera sees"
+    ) as told:
         with_rest_geometry(load_capture(alone))
+    assert "from azimuth 55° to 305° or from below" in str(told.value)  # the one is at 0°, 34° above the horizon
+    with pytest.raises(InputError, match=r"1 view\(s\) to fit.*from azimuth 55° to 305°"):
+        reconstruct(alone)
     content["cameras"] = json.loads((bare / "capture.json").read_text())["cameras"][:2]
     (alone / "capture.json").write_text(json.dumps(content))
     Image.fromarray(np.zeros((96, 96), np.uint8)).save(alone / "view1_mask.png")
     with pytest.raises(InputError, match="silhouette is empty"):
         with_rest_geometry(load_capture(alone), options=QUICK)
+
+
+def simulated(*arguments: str):
+    app = Typer()
+    app.command()(simulate_command)
+    fast = ("basis.max_nodes=200", "basis.modes=2", "time.frames=3", "time.steps_per_frame=4", "basis.mesher=lattice")
+    return CliRunner().invoke(app, [*arguments, "--json", *(part for one in fast for part in ("--set", one))])
+
+
+def test_a_capture_moves_as_its_own_surface_or_a_given_one(bare, tmp_path):
+    dense = shutil.copytree(bare, tmp_path / "dense")
+    content = json.loads((dense / "capture.json").read_text()) | {"density": 500.0}
+    (dense / "capture.json").write_text(json.dumps(content))
+    trimesh.creation.box((0.2, 0.2, 0.3)).export(tmp_path / "box.ply")
+    result = simulated(str(dense), "--body", str(tmp_path / "box.ply"), "--out", str(tmp_path / "out"))
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["mass_kg"] == pytest.approx(500 * 0.2 * 0.2 * 0.3, rel=0.01)
+    shutil.copy(tmp_path / "box.ply", dense / "mesh.ply")
+    result = simulated(str(dense), "--out", str(tmp_path / "out"), "--size", "0.6")
+    assert json.loads(result.stdout)["mass_kg"] == pytest.approx(500 * 0.4 * 0.4 * 0.6, rel=0.01)
+    assert not (tmp_path / "out" / "reconstruction").exists()
+    both = simulated(str(dense), str(dense), "--body", str(tmp_path / "box.ply"))
+    assert isinstance(both.exception, InputError) and "expected one" in str(both.exception)
+
+
+@pytest.mark.slow
+def test_a_bare_capture_is_reconstructed_once_and_simulated_with_its_field(bare, tmp_path, monkeypatch):
+    out = tmp_path / "played"
+    monkeypatch.setattr(
+        rest_geometry, "reconstruct", lambda capture, out, options: reconstruct(capture, out=out, options=QUICK)
+    )
+    for _ in range(2):
+        result = simulated(str(bare), "--out", str(out))
+        assert result.exit_code == 0, result.output
+        assert json.loads(result.stdout)["mass_kg"] == pytest.approx(1000 * 4 / 3 * np.pi * RADIUS**3, rel=0.05)
+    assert "reconstruction (read again)" in result.stderr
+    fields = sorted((out / "convexes").iterdir())
+    first, last = (read_ply(fields[k]).centres.mean(dim=0)[2].item() for k in (0, -1))
+    assert len(fields) == 3 and first - last == pytest.approx(9.81 / 2 * (2 / 24) ** 2, rel=0.05)
+
+
+@pytest.mark.slow
+def test_sides_that_no_camera_sees_and_a_cut_picture_are_told(bare, tmp_path):
+    """The four cameras above the horizon, one of which shows a part alone."""
+    upper = shutil.copytree(bare, tmp_path / "upper")
+    content = json.loads((upper / "capture.json").read_text())
+    content["cameras"] = content["cameras"][::2]
+    for name in ("view2.png", "view2_mask.png"):
+        picture = np.asarray(Image.open(upper / name))
+        Image.fromarray(picture[:48]).save(upper / name)
+    content["cameras"][1]["h"] = 48
+    (upper / "capture.json").write_text(json.dumps(content))
+    found = reconstruct(upper, options=QUICK)
+    cut, unseen = found.warnings
+    assert "view2: the object leaves the picture in frame 0" in cut
+    assert "closed by a membrane: no camera sees the body from below" in unseen
+    assert found.to_json()["warnings"] == [cut, unseen]

@@ -9,11 +9,11 @@ import trimesh
 from typer import Typer
 from typer.testing import CliRunner
 
+from inference.simulation_command import simulate_command
 from physconvex import InputError
 from physconvex.convex import ConvexField, half_spaces, read_ply, write_ply
 from physconvex.io import read_video
 from physconvex.play import load_play_config, overrides_of, play, play_together, read_asset, read_surface
-from physconvex.play.command import simulate_command
 
 QUICK = ["basis.max_nodes=80", "basis.modes=2", "time.frames=3", "time.steps_per_frame=4"]
 
@@ -88,6 +88,20 @@ def test_a_convex_field_moves_with_its_body(field_file, tmp_path):
         assert gap.max() < tolerance and np.abs(gap).min(axis=1).max() < tolerance
     expected = half_spaces(fields[0])
     np.testing.assert_allclose(np.sort(offsets[0]), np.sort(expected.offsets.numpy()), atol=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 3000])
+def test_a_field_of_one_convex_and_of_thousands_is_one_body(count, tmp_path):
+    """Overlapping hulls all over a box: one closed surface around them is meshed, not the hulls."""
+    corners = 0.5 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    places = np.random.default_rng(0).uniform(-0.1, 0.1, (count, 1, 3)) if count > 1 else np.zeros((1, 1, 3))
+    points = torch.as_tensor(corners * (0.04 if count > 1 else [0.3, 0.2, 0.1]) + places, dtype=torch.float32)
+    ones = torch.ones(count)
+    write_ply(ConvexField(points, 200 * ones, 2 * ones, ones, torch.zeros(count, 4, 3)), tmp_path / "field.ply")
+    config = load_play_config(overrides=[*QUICK, "basis.max_nodes=300"])
+    played = play(read_asset(tmp_path / "field.ply"), config)
+    box, rounded = (0.3 * 0.2 * 0.1, 1.0) if count == 1 else (0.24**3, 0.94)  # few of 3,000 reach its edges
+    assert played.volume == pytest.approx(rounded * box, rel=0.02) and len(played.trajectories) == 1
 
 
 def test_a_reconstruction_moves_as_its_closed_surface_and_takes_the_field_along(field_file, tmp_path):

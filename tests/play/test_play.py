@@ -8,11 +8,11 @@ import trimesh
 from typer import Typer
 from typer.testing import CliRunner
 
+from inference.simulation_command import simulate_command
 from physconvex import InputError, simulate
 from physconvex.io import read_video
 from physconvex.io.configuration import preset_names
 from physconvex.play import PlayConfig, load_play_config, play, read_surface
-from physconvex.play.command import simulate_command
 
 QUICK = ["basis.max_nodes=150", "basis.modes=2", "time.frames=3", "time.steps_per_frame=4", "basis.mesher=lattice"]
 

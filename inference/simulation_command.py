@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from pydantic import Field
 
 from physconvex.io import CommandLine, Options, command
+
+if TYPE_CHECKING:
+    from physconvex.play import Asset
 
 _PLACES = {
     "youngs_modulus": "material.youngs_modulus",
@@ -76,28 +80,39 @@ def simulate_command(
     assets: Annotated[
         list[Path],
         typer.Argument(
-            help="Mesh file of a closed surface, z up (glTF: y up); PLY file of a convex field; or folder of "
-            "`physconvex refine`. Several assets fall one on the other, in this order.",
+            help="Mesh file of a closed surface, z up (glTF: y up); PLY file of a convex field; capture folder; or "
+            "folder of `physconvex reconstruct` or `physconvex refine`. Several assets fall one on the other, in this "
+            "order.",
             show_default=False,
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("simulation"),
     options: SimulateOptions,
+    body: Annotated[
+        Path | None,
+        typer.Option(
+            help="Mesh of the closed surface [m] that moves in place of the asset's own; a convex field goes with it. "
+            "For one asset."
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print only the summary, as JSON.")] = False,
     progress: Annotated[bool, typer.Option(help="Show a progress bar.")] = True,
 ) -> None:
     """Simulate bodies of any material that fall, are pushed or are shaken, and write their motion.
 
-    Writes trajectory.npz, frames/*.ply, animation.glb, simulation.json and, with --video, video.mp4.
+    Writes trajectory.npz, frames/*.ply, animation.glb, simulation.json and, with --video, video.mp4. The body of a
+    capture without a mesh is reconstructed first, in OUT/reconstruction; this can be stopped, and is done once.
     """
     from tqdm import tqdm
 
-    from physconvex.play.roll_out import play_together
-    from physconvex.play.simulation import configure_assets
-    from physconvex.play.writing import summary_of, write_played
+    from physconvex import InputError
+    from physconvex.play import configure_assets, play_together, summary_of, write_played
 
-    objects, configs = configure_assets(assets, preset=options.preset, settings=options.overrides)
+    if body is not None and len(assets) > 1:
+        raise InputError(f"body (--body): got {len(assets)} assets; expected one, whose surface it replaces")
     quiet = as_json or not progress or not sys.stderr.isatty()
+    found = [_asset(path, out / f"asset_{k}" if len(assets) > 1 else out, body) for k, path in enumerate(assets, 1)]
+    objects, configs = configure_assets(found, preset=options.preset, settings=options.overrides)
     with tqdm(total=configs[0].time.frames - 1, unit="frame", disable=quiet) as bar:
         played = play_together(objects, configs, on_frame=lambda _: bar.update())
     write_played(played, out, ply=options.ply, glb=options.glb, video=options.video)
@@ -109,3 +124,29 @@ def simulate_command(
             f"{out}: {summary['frames']} frames of {summary['vertices']} vertices, {summary['mass_kg']:.3g} kg; height "
             f"{summary['height_first_m']:.3g} m at first, {summary['height_last_m']:.3g} m at last"
         )
+
+
+def _asset(path: Path, out: Path, body: Path | None) -> Asset:
+    """What moves: of a capture its surface and density; its convex field, if it is reconstructed in `out`."""
+    from physconvex.io import CAPTURE_FILE, load_capture
+    from physconvex.play import Asset, RestSurface, read_asset, read_surface
+
+    if not (path / CAPTURE_FILE).is_file():
+        asset = read_asset(path)
+        return asset if body is None else replace(asset, surface=read_surface(body), overlapping=False)
+
+    from inference.rest_geometry import rest_geometry_of
+    from physconvex.identify import surface_of_capture
+    from physconvex.mesh import with_merged_vertices
+
+    def say(stage: str, stored: bool) -> None:
+        print(f"physconvex simulate: {path}: {stage}{' (read again)' if stored else ' …'}", file=sys.stderr, flush=True)
+
+    capture, made = rest_geometry_of(load_capture(path), body=body, out=out, on_stage=say)
+    surface = surface_of_capture(capture)
+    assert surface is not None
+    return Asset(
+        RestSurface(*with_merged_vertices(*surface)),
+        None if made is None else made.field,
+        settings={"material": {"density": capture.density}},
+    )
