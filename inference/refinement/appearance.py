@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -26,6 +25,7 @@ from physconvex.numerics import device_named
 from physconvex.reconstruction import (
     Observation,
     begin,
+    fill_gaps,
     fit_field,
     observation_of,
     score_views,
@@ -75,16 +75,61 @@ class Appearance:
         return colour, found.alpha.numpy()
 
 
-def start_field_fit(run: RefinementRun) -> Callable[[], Arrays] | None:
-    """Start the fit of a field to the cameras' first images, parallel to other work; None if it is off or impossible.
+class RestField:
+    """The object at rest as a convex field: given, or fitted to the cameras' first images beside other work.
 
-    If the capture has a mesh, the field starts from it: one camera is enough in this case.
+    If the capture has a mesh, the fit starts from it: one camera is enough in this case. The gaps inside are filled.
+
+    Args:
+        run: the refinement.
+
+    Attributes:
+        field: the convexes; None if the field is off or impossible (with a warning).
+        source: its origin, in words.
+        psnr: of each camera's first image, over the pixels of the object [dB].
     """
-    options = run.options
-    if options.field_file is not None or not options.field or not run.capture.pictured:
-        return None
-    call = partial(fitted_field, run.capture, options)
-    return call if run.stages.known("field") else run.workers.start(call)
+
+    def __init__(self, run: RefinementRun) -> None:
+        self._run, self._fit = run, None
+        options = run.options
+        if options.field_file is None and options.field and run.capture.pictured:
+            call = partial(fitted_field, run.capture, options)
+            self._fit = call if run.stages.known("field") else run.workers.start(call)
+
+    @cached_property
+    def _found(self) -> Arrays | None:
+        try:
+            return None if self._fit is None else self._run.stages.run("field", self._fit)
+        except InputError as error:
+            self._run.warnings.append(f"No convex field: {error}")
+            return None
+
+    @cached_property
+    def field(self) -> ConvexField | None:
+        """The convexes.
+
+        Raises:
+            InputError: `field_file` of the options is no field.
+        """
+        if self._run.options.field_file is not None:
+            return read_ply(Path(self._run.options.field_file))
+        if self._found is None:
+            return None
+        return ConvexField(*(torch.as_tensor(self._found[name]) for name in _PARTS))
+
+    @property
+    def psnr(self) -> dict[str, float]:
+        """Of each camera's first image [dB]."""
+        if self._found is None:
+            return {}
+        return dict(zip(map(str, self._found["cameras"]), map(float, self._found["psnr"]), strict=True))
+
+    @property
+    def source(self) -> str:
+        """In words."""
+        if self._found is None:
+            return "field given"
+        return f"first images of {len(self.psnr)} cameras, from {self._found['kind']}"
 
 
 def fitted_field(capture: Capture, options: RefineOptions) -> Arrays:
@@ -98,7 +143,9 @@ def fitted_field(capture: Capture, options: RefineOptions) -> Arrays:
         around += [_unseen(views[0], mesh, degrees) for degrees in (100.0, 180.0, 260.0)]
     start = start_field(around, config, mesh=mesh)
     state = fit_field(begin(start).to(device_named(options.device)), views, config)
-    field = state.field()
+    field = state.field().to("cpu")
+    if mesh is not None and mesh.is_watertight:
+        field = fill_gaps(field, mesh, footprint=state.footprint, budget=config.budget)
     scores = [one for one, _ in score_views(field, views)]
     arrays = {name: getattr(field, name).detach().cpu().numpy() for name in _PARTS}
     return arrays | {
@@ -108,28 +155,9 @@ def fitted_field(capture: Capture, options: RefineOptions) -> Arrays:
     }
 
 
-def appearance_of(
-    run: RefinementRun, motion: RefinedMotion, field_fit: Callable[[], Arrays] | None
-) -> Appearance | None:
-    """The fitted or given field.
-
-    None if it is off, or if the first images do not show which pixels the object covers (with a warning).
-
-    Raises:
-        InputError: `field_file` of the options is no field.
-    """
-    if run.options.field_file is not None:
-        return Appearance(read_ply(Path(run.options.field_file)), motion, "field given", {})
-    if field_fit is None:
-        return None
-    try:
-        arrays = run.stages.run("field", field_fit)
-    except InputError as error:
-        run.warnings.append(f"No convex field: {error}")
-        return None
-    field = ConvexField(*(torch.as_tensor(arrays[name]) for name in _PARTS))
-    scores = dict(zip(map(str, arrays["cameras"]), map(float, arrays["psnr"]), strict=True))
-    return Appearance(field, motion, f"first images of {len(scores)} cameras, from {arrays['kind']}", scores)
+def appearance_of(motion: RefinedMotion, rest: RestField) -> Appearance | None:
+    """The field at rest with the motion; None without a field."""
+    return None if rest.field is None else Appearance(rest.field, motion, rest.source, rest.psnr)
 
 
 def _unseen(seen: Observation, mesh: trimesh.Trimesh, degrees: float) -> Observation:

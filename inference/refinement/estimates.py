@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from inference.refinement.convex_stage import ConvexFit
 from inference.refinement.meshes import comparison_mesh, is_of_capture
 from inference.refinement.result import FittedParameter, interval_of
 from inference.refinement.stages import Arrays, RefinementRun, arrays_of_fit, fit_of
@@ -30,6 +31,8 @@ from physconvex.mesh import TetMesh
 # standard deviation by the choice of a mesh made of a surface, of bodies that hit something: error of E [decades]
 # and ν in a first-order fit to motions of other meshes (benchmarks/twin_meshes.py)
 _BY_MESH = {"log10_youngs_modulus": 0.012, "poisson_ratio": 0.03}
+# the same by the convex twin's few weights and samples, against full-order motions of other meshes
+_BY_REDUCTION = {"log10_youngs_modulus": 0.06, "poisson_ratio": 0.04}
 
 
 def fitted_parameters(
@@ -163,3 +166,9 @@ def with_model_error(
             "moved."
         )
     return FitWithError(last, left, arrays["errors"], mesh)
+
+
+def with_reduction_error(run: RefinementRun, pixels: ConvexFit) -> FitWithError:
+    """The convex twin's fit, with the error that its few weights leave on average."""
+    left = np.array([_BY_REDUCTION.get(p.name, np.nan) for p in pixels.found.parameters])
+    return FitWithError(pixels.found, left, np.zeros(run.capture.observed_frames))

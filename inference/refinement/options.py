@@ -83,6 +83,13 @@ class RefineOptions(Options):
 
     weights: Annotated[int, Field(ge=1), _MODEL] = 20
     """Number of skinning weights of the reduced model."""
+    basis: Annotated[Literal["elastic", "eigenmodes", "neural", "predicted"], _MODEL] = "elastic"
+    """Skinning weights of the convex twin: elastic (vibrations and responses to contacts), eigenmodes, neural (trained
+    on the body alone), or predicted by the network."""
+    convex: Annotated[bool, _MODEL] = True
+    """Fit the convex twin to all pixels of the videos; its values are a start of the correction."""
+    stop_after: Annotated[Literal["convex"] | None, _MODEL] = None
+    """Stop after this stage: convex gives the quick answer of the convex twin, without the full-order model."""
     max_nodes: Annotated[int, Field(ge=30), _MODEL] = 500
     """Most nodes of the quadratic mesh of both models."""
     fine_nodes: Annotated[int | None, Field(ge=0), _MODEL] = None

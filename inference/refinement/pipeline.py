@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +12,11 @@ import numpy as np
 
 from inference.prediction import Prediction
 from inference.reconstruction import FIELD
-from inference.refinement.appearance import appearance_of, start_field_fit
+from inference.refinement.appearance import RestField, appearance_of
 from inference.refinement.coarse_start import START_OPTIONS, coarse_start
 from inference.refinement.colour_search import fit_colours
-from inference.refinement.estimates import fitted_parameters, with_model_error
+from inference.refinement.convex_stage import CONVEX, convex_fit
+from inference.refinement.estimates import FitWithError, fitted_parameters, with_model_error, with_reduction_error
 from inference.refinement.fine_fit import fit_on_more_nodes
 from inference.refinement.geometry_error import geometry_error
 from inference.refinement.meshes import comparison_mesh
@@ -23,8 +24,8 @@ from inference.refinement.motion import future_rms, refined_motion
 from inference.refinement.observations import observe_capture, selected
 from inference.refinement.options import RefineOptions
 from inference.refinement.problem import Problem, material_of, started_from
-from inference.refinement.reduced_search import ReducedSearch
-from inference.refinement.result import Refinement, row_of
+from inference.refinement.reduced_search import ReducedSearch, predicted
+from inference.refinement.result import FittedParameter, Refinement, StageEstimate, row_of
 from inference.refinement.rigid_drift import drift_of, drifted, followed_motion, with_drift
 from inference.refinement.stages import Arrays, RefinementRun, Stages, arrays_of_correction, fit_of, key_of, runs_of
 from inference.rest_geometry import RECONSTRUCTION, rest_geometry_of
@@ -123,11 +124,22 @@ def _stated(name: str, options: RefineOptions) -> bool:
 def _refined(run: RefinementRun) -> Refinement:
     """All steps, one after the other."""
     options, problem, search = run.options, _problem(run), ReducedSearch(run)
+    rest = RestField(run)
     reduced = start = search.start(problem)
+    candidates = search.candidates(problem, reduced)
+    rows = _network_row(run)
+    pixels = convex_fit(run, _with_time_step(run, problem, reduced), reduced, candidates, rest)
+    if pixels is not None:
+        told = with_reduction_error(run, pixels)
+        if options.stop_after is not None:
+            run.options = options.replace(correction=False)
+            return _result(run, pixels.problem, told, reduced, rest, rows)
+        rows.append(StageEstimate.of(CONVEX, _estimates(pixels.problem, told)[0], _fixed(run, problem)))
+        candidates = (pixels.found.values, *candidates)
     coarse: FullModel | None = None
     if options.own_derivatives:
         try:
-            problem, start, coarse = coarse_start(run, problem, reduced, search.candidates(problem, reduced))
+            problem, start, coarse = coarse_start(run, problem, reduced, candidates)
         except ConvergenceError:  # too few nodes to be simulated: the reduced model's fit is the start
             pass
     if problem.observed.follows_points:
@@ -153,24 +165,55 @@ def _refined(run: RefinementRun) -> Refinement:
     problem = with_drift(run, problem, found, "drift_last")
     full = problem.full(run.memory)
     told = with_model_error(run, full, found, problem.seen, on_twin=None if problem.mesh is None else on_twin)
-    by_geometry = geometry_error(run, full, told.fit, problem.seen)
-    field_fit = start_field_fit(run)
-    motion = refined_motion(run, full, told.fit, mesh=told.mesh)
-    appearance = appearance_of(run, motion, field_fit)
-    found = told.fit
-    known = identifiability(found)
-    seen, drift = problem.observed.observations, drift_of(problem, found)
+    return _result(run, problem, told, reduced, rest, rows, full=full, full_runs=full_runs, converged=converged)
+
+
+def _network_row(run: RefinementRun) -> list[StageEstimate]:
+    """The network's answer, if the search has asked for it."""
+    return [predicted(run)] if run.stages.known("network") else []
+
+
+def _estimates(
+    problem: Problem, told: FitWithError, by_geometry: np.ndarray | None = None
+) -> tuple[tuple[FittedParameter, ...], dict[str, float], tuple[str, ...]]:
+    """The parameters with their intervals, the residuals by source, and notes on sources that are not followed."""
+    found, seen = told.fit, problem.observed.observations
     rms = problem.observed.rms(seen.residuals(drifted(problem, found)))
-    not_followed = _not_followed(rms)
-    run.warnings += [*not_followed, *(() if drift is None else drift.sentences())]
+    notes = tuple(_not_followed(rms))
     estimates = fitted_parameters(
-        found, told.left, known, problem.seen.frames, seen.residual_slices,
-        by_geometry=by_geometry, stated=seen.stated, followed=not not_followed,
+        found, told.left, identifiability(found), problem.seen.frames, seen.residual_slices,
+        by_geometry=by_geometry, stated=seen.stated, followed=not notes,
     )  # fmt: skip
+    return estimates, rms, notes
+
+
+def _result(
+    run: RefinementRun,
+    problem: Problem,
+    told: FitWithError,
+    reduced: Fit,
+    rest: RestField,
+    rows: Sequence[StageEstimate],
+    *,
+    full: FullModel | None = None,
+    full_runs: Arrays | None = None,
+    converged: bool | None = None,
+) -> Refinement:
+    """The refinement at a fit."""
+    found, full = told.fit, full or problem.full(run.memory)
+    motion = refined_motion(run, full, found, mesh=told.mesh)
+    appearance = appearance_of(motion, rest)
+    by_geometry = None if run.options.stop_after is not None else geometry_error(run, full, found, problem.seen)
+    estimates, rms, notes = _estimates(problem, told, by_geometry)
+    drift, fixed = drift_of(problem, found), _fixed(run, problem)
+    run.warnings += [*notes, *(() if drift is None else drift.sentences())]
+    last = StageEstimate.of("corrected" if run.options.correction else "reduced", estimates, fixed)
+    if run.options.stop_after is not None:
+        last = replace(last, name=CONVEX)
     return Refinement(
         path=str(run.capture.folder),
         estimates=estimates,
-        fixed=_fixed(run, problem),
+        fixed=fixed,
         covariance=noise_covariance(found),
         reduced_chi_square=found.reduced_chi_square,
         residual_rms=rms,
@@ -180,16 +223,17 @@ def _refined(run: RefinementRun) -> Refinement:
         appearance=appearance,
         frame_errors=told.frame_errors,
         future_rms=future_rms(run.capture, motion),
-        identifiability=known,
+        identifiability=identifiability(found),
         history=found.history,
         reduced_values=reduced.values,
-        full_runs=runs_of(full_runs),
-        converged=converged,
+        full_runs=runs_of(full_runs or {}),
+        converged=found.converged if converged is None else converged,
         motion=motion,
         observed_frames=run.capture.observed_frames,
         sources=problem.observed.sources,
         warnings=tuple(dict.fromkeys(run.warnings)),
         reconstruction=None if run.reconstruction is None else row_of(run.reconstruction),
+        stages=(*rows, last),
     )
 
 

@@ -10,8 +10,8 @@ from functools import partial
 
 import numpy as np
 
-from inference.refinement.options import RefineOptions
 from inference.refinement.problem import Problem, started_from
+from inference.refinement.result import StageEstimate
 from inference.refinement.stages import Arrays, RefinementRun, Scanned, arrays_of_scan, scan_of
 from physconvex import ConvergenceError, InputError
 from physconvex.identify import (
@@ -26,7 +26,6 @@ from physconvex.identify import (
     scan,
     scan_values,
 )
-from physconvex.io import Capture
 
 _MODULUS, _RATIO = "log10_youngs_modulus", "poisson_ratio"
 _CHEAP_WEIGHTS = 6
@@ -93,7 +92,7 @@ class ReducedSearch:
 
     def _scan(self, problem: Problem) -> Arrays:
         self.run.workers.begin(_PAIRS)  # while the network predicts the start
-        where = scan_range(self.run.capture, problem.twin.mesh.size, self.run.options)
+        where = scan_range(self.run, problem.twin.mesh.size)
         if where.note:
             self.run.warnings.append(where.note)
         frames = problem.windows[0]
@@ -162,18 +161,19 @@ class ScanRange:
     note: str = ""
 
 
-def scan_range(capture: Capture, size: float, options: RefineOptions) -> ScanRange:
+def scan_range(run: RefinementRun, size: float) -> ScanRange:
     """The scan for a body of that size [m].
 
     Raises:
         InputError: a prediction is requested and impossible.
     """
+    capture, options = run.capture, run.options
     gravity = float(np.linalg.norm(capture.gravity))
     everywhere = scan_values(density=capture.density, gravity=gravity, size=size)
     if options.start == "scan" or (options.start == "auto" and not capture.filmed):
         return ScanRange(everywhere, _RATIOS)
     try:
-        moduli, ratios = _predicted(capture, options)
+        moduli, ratios = _around(predicted(run))
     except InputError as error:
         if options.start == "predict":
             raise
@@ -184,12 +184,28 @@ def scan_range(capture: Capture, size: float, options: RefineOptions) -> ScanRan
     return ScanRange(tuple(sorted((*moduli, *others))), ratios, (low, high))
 
 
-def _predicted(capture: Capture, options: RefineOptions) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Five moduli over the 90 % interval, enlarged to 0.8 decades at least, and two ratios."""
-    from inference.predictor import predict
+def predicted(run: RefinementRun) -> StageEstimate:
+    """The network's E and ν.
 
-    found = predict(capture.folder, checkpoint=options.checkpoint, device=options.device)
-    low, high = (float(np.log10(v)) for v in found.youngs_modulus_interval)
+    Raises:
+        InputError: the capture holds no video that it reads.
+    """
+
+    def compute() -> Arrays:
+        from inference.predictor import predict
+
+        found = predict(run.capture.folder, checkpoint=run.options.checkpoint, device=run.options.device)
+        modulus = np.log10([found.youngs_modulus, *found.youngs_modulus_interval])
+        return {"estimate": np.array([modulus, [found.poisson_ratio, *found.poisson_ratio_interval]])}
+
+    modulus, ratio = run.stages.run("network", compute)["estimate"].tolist()
+    return StageEstimate("network", modulus[0], ratio[0], ((modulus[1], modulus[2]), (ratio[1], ratio[2])))
+
+
+def _around(found: StageEstimate) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Five moduli over the 90 % interval, enlarged to 0.8 decades at least, and two ratios."""
+    assert found.intervals[0] is not None
+    low, high = found.intervals[0]
     middle = 0.5 * (low + high)
     half = max(0.5 * (high - low), _LEAST)
     ratio = float(np.clip(found.poisson_ratio, 0.05, 0.48))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ from physconvex.identify import FullRun, Identifiability, Iteration
 from physconvex.io import Picture, html_summary, load_capture
 
 REFINEMENT_SCHEMA = "physconvex/refinement/1"
+_MATERIAL = ("log10_youngs_modulus", "poisson_ratio")
 _NINETY = 1.6448536269514722  # quantile of a normal distribution, both sides
 UNITS = {
     "log10_youngs_modulus": "log10(Pa)",
@@ -100,6 +102,36 @@ class FittedParameter:
         }
 
 
+@dataclass(frozen=True)
+class StageEstimate:
+    """E and ν as one stage of a refinement gives them.
+
+    Attributes:
+        name: network, convex twin or corrected.
+        log10_youngs_modulus, poisson_ratio: values, E in Pa.
+        intervals: 90 %, of log10 E and ν; None where there is none.
+    """
+
+    name: str
+    log10_youngs_modulus: float
+    poisson_ratio: float
+    intervals: tuple[tuple[float, float] | None, tuple[float, float] | None]
+
+    @classmethod
+    def of(cls, name: str, estimates: Sequence[FittedParameter], fixed: Mapping[str, float]) -> StageEstimate:
+        """From fitted parameters; those that are held have no interval."""
+        known = {e.name: e for e in estimates}
+        values = [known[n].value if n in known else fixed[n] for n in _MATERIAL]
+        first, second = (known[n].interval if n in known else None for n in _MATERIAL)
+        return cls(name, values[0], values[1], (first, second))
+
+    def to_json(self) -> dict[str, JsonValue]:
+        """Plain values."""
+        values = (self.log10_youngs_modulus, self.poisson_ratio)
+        entries = zip(_MATERIAL, values, self.intervals, strict=True)
+        return {n: {"value": v, "interval_90": None if i is None else [*i]} for n, v, i in entries}
+
+
 def interval_of(value: float, sigma: float, lower: float, upper: float) -> tuple[float, float]:
     """90 % of a normal distribution, cut at the bounds."""
     return max(value - _NINETY * sigma, lower), min(value + _NINETY * sigma, upper)
@@ -173,6 +205,7 @@ class Refinement:
         drift: rigid drift of the recording from the model after a contact; None if none is likely.
         followed: the motion with that drift, as in the recording (its handles are the model's).
         reconstruction: of the body; None if its geometry is given.
+        stages: E and ν after each stage; the last entry is the result.
     """
 
     path: str
@@ -197,6 +230,7 @@ class Refinement:
     drift: RigidDrift | None = None
     followed: RefinedMotion | None = None
     reconstruction: ReconstructionRow | None = None
+    stages: tuple[StageEstimate, ...] = ()
 
     def __getitem__(self, name: str) -> FittedParameter:
         """The estimate of a free parameter."""
@@ -258,6 +292,7 @@ class Refinement:
             "schema": REFINEMENT_SCHEMA,
             "path": self.path,
             "youngs_modulus": {"value": self.youngs_modulus, "unit": "Pa", "interval_90": interval},
+            "stages": {stage.name: stage.to_json() for stage in self.stages},
             "parameters": {e.name: e.to_json() for e in self.estimates},
             "fixed": {name: {"value": value, "unit": unit_of(name)} for name, value in self.fixed.items()},
             "noise_covariance": {"order": [*names], "matrix": self.covariance.tolist()},

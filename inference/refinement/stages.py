@@ -29,6 +29,8 @@ _KEY = "stage_key"
 _IN_WORDS = {  # of NAME, and of NAME_… unless that has its own
     "reconstruction": "reconstructing the body from the first frames",
     "points": "following points in the videos",
+    "network": "predicting by the network",
+    "convex": "fitting the convex twin to the pixels",
     "scan": "scanning Young's modulus",
     "reduced": "fitting the reduced model",
     "coarse": "fitting the full model on few nodes",

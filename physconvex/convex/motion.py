@@ -65,7 +65,7 @@ def polar_rotation(gradients: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N 3 3"]:
     change = rotation.mT @ gradients  # symmetric at the given gradients
     skew = change - change.mT
     axial = torch.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], dim=1)
-    x, y, z = (torch.linalg.pinv(inertia) @ axial[..., None])[..., 0].unbind(dim=1)
+    x, y, z = torch.linalg.solve_ex(inertia, axial[..., None])[0][..., 0].unbind(dim=1)
     zero = torch.zeros_like(x)
     turn = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=1).reshape(-1, 3, 3)
     return rotation + rotation @ turn

@@ -5,7 +5,7 @@ from .colours import (
     colour_seeds as colour_seeds,
     seen_by as seen_by,
 )
-from .convexes import Basis as Basis, convex_twin as convex_twin
+from .convexes import Basis as Basis, convex_twin as convex_twin, skinning_weights as skinning_weights
 from .correction import (
     FULL_OPTIONS as FULL_OPTIONS,
     Correction as Correction,

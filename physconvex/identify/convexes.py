@@ -18,8 +18,6 @@ from physconvex.convex import ConvexField, union_samples
 from physconvex.errors import InputError
 from physconvex.identify.twin import Twin, smooth_weights, with_body
 from physconvex.reduced import (
-    BodySamples,
-    NeuralFieldOptions,
     NodalWeights,
     ReducedBody,
     ReducedSpace,
@@ -59,7 +57,14 @@ def convex_twin(
     if not surface.is_watertight:
         raise InputError("convex twin: the body's surface is open; expected a closed one, such as body.ply")
     samples = union_samples(field if field.points.shape[1] >= _SOLID else None, surface)
-    found = _weights(moving or twin, samples, basis, weights) if isinstance(basis, str) else basis
+    found: WeightField
+    if not isinstance(basis, str):
+        found = basis
+    elif basis == "neural":
+        generator, ratio = torch.Generator().manual_seed(0), float(np.mean(twin.scene.body.poisson_ratio))
+        found = train_neural_weights(samples, weights, generator=generator, poisson_ratio=ratio)
+    else:
+        found = skinning_weights(moving or twin, basis, weights)
     space = ReducedSpace(found, samples, interpolated=isinstance(found, NodalWeights))
     body = twin.scene.body
     modulus, ratio, density = (float(v[0]) for v in (body.youngs_modulus, body.poisson_ratio, body.density))
@@ -69,22 +74,18 @@ def convex_twin(
     return with_body(twin, solid)
 
 
-def _weights(twin: Twin, samples: BodySamples, basis: Basis, count: int) -> WeightField:
-    """Skinning weights of a body.
+def skinning_weights(twin: Twin, basis: Literal["elastic", "eigenmodes"], count: int) -> NodalWeights:
+    """Skinning weights on a twin's mesh, see `convex_twin`.
 
     Raises:
         InputError: an unknown basis.
-        ConvergenceError: the motion that gives the contacts cannot be computed.
+        ConvergenceError: the motion that shows the contacts cannot be computed.
     """
-    if basis not in get_args(Basis):
+    if basis not in ("elastic", "eigenmodes"):
         raise InputError(f"basis: got {basis!r}; expected one of {', '.join(get_args(Basis))}")
-    if basis == "neural":
-        generator = torch.Generator().manual_seed(0)
-        ratio = float(np.mean(twin.scene.body.poisson_ratio))
-        return train_neural_weights(
-            samples, count, generator=generator, poisson_ratio=ratio, options=NeuralFieldOptions()
-        )
     if basis == "eigenmodes":
         return smooth_weights(twin.mesh, count, twin.clamp)
     timing = replace(twin.timing(), frames=twin.capture.observed_frames)
-    return with_elastic_weights(twin.scene, twin.mesh, count, timing).body.space.field
+    found = with_elastic_weights(twin.scene, twin.mesh, count, timing).body.space.field
+    assert isinstance(found, NodalWeights)
+    return found

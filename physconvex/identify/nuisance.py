@@ -66,8 +66,9 @@ class Elimination:
         """For unknowns with unit variance; the columns of N are the residuals' derivatives by them."""
         if not directions.shape[1]:
             return cls(np.zeros_like(directions), np.zeros(0))
-        left, values, _ = np.linalg.svd(directions, full_matrices=False)
-        return cls(left, values)
+        basis, triangle = np.linalg.qr(directions)  # tall: much faster than its singular values at once
+        turn, values, _ = np.linalg.svd(triangle)
+        return cls(basis @ turn, values)
 
     def whitened(self, columns: Float[np.ndarray, "N K"]) -> Float[np.ndarray, "N K"]:
         """(I + N Nᵀ)^(−½) times the columns."""

@@ -7,9 +7,9 @@ Images are compared coarse to fine; both are averaged over the same areas and bl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from math import pi, sqrt
 
 import cv2
@@ -21,8 +21,9 @@ from torch import Tensor
 from physconvex.convex import ConvexField, coefficients_of_colour, polar_rotation, view_colours
 from physconvex.errors import InputError
 from physconvex.identify.observations import EvaluatedObservations
+from physconvex.identify.point_models import Positions
 from physconvex.io import Camera
-from physconvex.render import View, load_forward_mode, render, render_jacobian
+from physconvex.render import View, render, render_jacobian, slopes
 
 _OVERSAMPLED = 2  # rendered pixels across one of a coarser image
 _UNIT = sqrt(4 * pi)  # of the first harmonic, by a colour that is the same from everywhere
@@ -145,6 +146,21 @@ class PhotometricObservations(EvaluatedObservations):
         """The first `count` frames alone."""
         return replace(self, images=self.images[:count], windows=self.windows[:count])
 
+    def visible_in(self, positions: Positions, *, least: float = 0.02) -> PhotometricObservations:
+        """The same without convexes whose weights, summed over pixels, stay below `least` in every frame of a motion.
+
+        Few convexes of a body show, and the others cost as much.
+        """
+        kind, seen = self.field.points, torch.zeros(len(self.field), dtype=torch.bool)
+        for frame in np.flatnonzero(self._sizes):
+            view = self._view(self.windows[frame])
+            moved = torch.as_tensor(positions[frame]).to(kind).reshape(kind.shape)
+            colours = torch.zeros((len(self.field), 1, 3), dtype=kind.dtype, requires_grad=True)
+            image = render(replace(self.field, points=moved, harmonics=colours), view).colour[..., 0]
+            (weights,) = torch.autograd.grad(image.sum(), colours)
+            seen |= _UNIT * weights[:, 0, 0] > least * self.fine**2
+        return replace(self, field=self.field.select(seen))
+
     @cached_property
     def _inverses(self) -> Float[Tensor, "N 3 K"]:
         """Pseudo-inverses of each convex's points about their mean: with the moved points they give the affine map."""
@@ -220,12 +236,12 @@ class PhotometricObservations(EvaluatedObservations):
         drawn = drawn.transpose(1, 2, 0)
         if tangents is None or not len(tangents):
             return drawn, np.zeros((*drawn.shape, 0), dtype=drawn.dtype)
-        seen = contributing(field, view)
-        field, part = field.select(seen), replace(self, field=self.field.select(seen))
         # moves of the size of a pixel, so that single precision does not lose small derivatives
         sizes = np.abs(tangents).max(axis=(1, 2)) + 1e-30
-        along = torch.as_tensor(tangents / sizes[:, None, None]).to(kind).reshape(-1, *kind.shape)[:, seen]
-        colours = _UNIT * _slopes(partial(part._colours, position=view.position), field.points, along)[:, :, None]
+        along = torch.as_tensor(tangents / sizes[:, None, None]).to(kind).reshape(-1, *kind.shape)
+        (turned,) = slopes(lambda at: (self._colours(at, view.position),), moved, along)
+        assert turned is not None
+        colours = _UNIT * turned[:, :, None]
 
         def scene(changes: Tensor) -> tuple[ConvexField, View]:
             points = field.points + torch.einsum("k,knpi->npi", changes, along)
@@ -234,8 +250,8 @@ class PhotometricObservations(EvaluatedObservations):
 
         found = render_jacobian(scene, kind.new_zeros(len(along)), background=background).colour  # [K, H, W, 3]
         flat = found.permute(0, 3, 1, 2).flatten(0, 1).numpy()
-        slopes = self._drawn_at(flat).reshape(len(along), 3, b - a, d - c).transpose(2, 3, 1, 0)
-        return drawn, slopes * sizes
+        rates = self._drawn_at(flat).reshape(len(along), 3, b - a, d - c).transpose(2, 3, 1, 0)
+        return drawn, rates * sizes
 
     def _balanced(
         self, seen: np.ndarray, drawn: np.ndarray, slopes: np.ndarray, background: np.ndarray
@@ -252,23 +268,6 @@ class PhotometricObservations(EvaluatedObservations):
 
         flat = left(slopes.reshape(difference.size, slopes.shape[-1]))
         return left(difference.reshape(-1, 1)).reshape(difference.shape), flat.reshape(slopes.shape)
-
-
-def _slopes(
-    function: Callable[[Tensor], Tensor], at: Float[Tensor, "N K 3"], along: Float[Tensor, "P N K 3"]
-) -> Float[Tensor, "P N 3"]:
-    """Derivatives of a function in several directions."""
-    load_forward_mode()
-    return torch.func.vmap(lambda one: torch.func.jvp(function, (at,), (one,))[1])(along)
-
-
-def contributing(field: ConvexField, view: View, *, least: float = 1e-3) -> Int[Tensor, " M"]:
-    """Indices of the convexes whose weights in an image sum up to more than `least` pixels."""
-    with torch.enable_grad():
-        colours = field.harmonics.detach().requires_grad_()
-        image = render(replace(field, harmonics=colours), view).colour[..., 0]
-        (weights,) = torch.autograd.grad(image.sum(), colours)
-    return (_UNIT * weights[:, 0, 0].abs() > least).nonzero()[:, 0]
 
 
 def background_of(frames: UInt8[np.ndarray, "T H W 3"], masks: Bool[np.ndarray, "T H W"]) -> Float[np.ndarray, "H W 3"]:

@@ -73,16 +73,28 @@ class RigidDriftObservations(WrappedObservations):
         begin: frame of the first contact, at least 1.
         interval: time between frames Δt [s].
         sigma: standard deviation q of each frame's change of velocity, and of spin times r [m/s].
+        about: kicks [C] in units of q at which the residuals are linearised, see `with_kicks_at`; fitted anew at every
+            motion unless given.
     """
 
     seen: Observations
     begin: int
     interval: float
     sigma: float
+    about: Float[np.ndarray, " C"] | None = None
 
     def in_frames(self, count: int) -> RigidDriftObservations:
         """The first `count` frames alone."""
-        return replace(self, seen=self.seen.in_frames(count))
+        return replace(self, seen=self.seen.in_frames(count), about=None)
+
+    def with_kicks_at(self, positions: Positions) -> RigidDriftObservations:
+        """The same, always linearised about the kicks that are most likely for these positions [m].
+
+        Motions near them then need one evaluation of the observations each, in place of one for every step of the fit
+        of the kicks.
+        """
+        free = replace(self, about=None)
+        return replace(self, about=free._fitted(positions, free._kicks(positions)))
 
     def residuals(self, positions: Positions) -> Residuals:
         """Whitened residuals."""
@@ -91,7 +103,7 @@ class RigidDriftObservations(WrappedObservations):
     def linearise(self, positions: Positions, tangents: Tangents) -> tuple[Residuals, Jacobian]:
         """Whitened residuals and their derivatives (those of the kicks held fixed)."""
         kicks = self._kicks(positions)
-        fitted = self._fitted(positions, kicks)
+        fitted = self._fitted(positions, kicks) if self.about is None else self.about
         residuals, jacobian, slopes = self._by_kicks(self.seen, kicks.moved(positions, fitted), kicks, tangents)
         columns = np.hstack([(residuals - slopes @ fitted)[:, None], jacobian])
         columns = Elimination.of(slopes).whitened(columns)

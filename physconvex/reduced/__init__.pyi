@@ -20,6 +20,7 @@ from .elastic_basis import elastic_weights as elastic_weights
 from .equations import ReducedEquations as ReducedEquations
 from .given_fields import (
     ArrayWeights as ArrayWeights,
+    PredictedField as PredictedField,
     StackedWeights as StackedWeights,
     predicted_weights as predicted_weights,
     snapshot_weights as snapshot_weights,

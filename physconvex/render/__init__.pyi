@@ -1,5 +1,5 @@
 from .compiled import RENDER_FLAGS as RENDER_FLAGS, composite_kernel as composite_kernel
-from .directions import load_forward_mode as load_forward_mode
+from .directions import slopes as slopes
 from .jacobian import ImageJacobian as ImageJacobian, render_jacobian as render_jacobian
 from .movies import film as film, orbit as orbit
 from .projection import Splats as Splats, project_field as project_field

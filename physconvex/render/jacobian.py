@@ -8,15 +8,14 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.autograd import forward_ad
 
 from physconvex.convex import ConvexField
 from physconvex.errors import InputError
 from physconvex.render.compiled import composite_kernel, composite_tangents
 from physconvex.render.cuda import composite_cuda, composite_tangents_cuda
-from physconvex.render.directions import load_forward_mode
-from physconvex.render.projection import NEAR, Splats
-from physconvex.render.rasterize import Backend, splat
+from physconvex.render.directions import slopes
+from physconvex.render.projection import NEAR, Plan, Splats
+from physconvex.render.rasterize import Backend, implementation
 from physconvex.render.view import View
 
 _IN_ONE_PASS = {composite_kernel: composite_tangents, composite_cuda: composite_tangents_cuda}
@@ -45,7 +44,7 @@ def render_jacobian(
     near: float = NEAR,
     backend: Backend = "auto",
 ) -> ImageJacobian:
-    """Derivatives of the image of a scene, one forward pass of the projection and one of all pixels for each parameter.
+    """Derivatives of the image of a scene, for all parameters together.
 
     The kernels share the exponentials among parameters (on a CUDA device among eight): further parameters cost little.
 
@@ -58,29 +57,35 @@ def render_jacobian(
     """
     if parameters.ndim != 1 or not len(parameters):
         raise InputError(f"parameters: got shape {tuple(parameters.shape)}; expected [P] with P ≥ 1")
-    load_forward_mode()
     parameters = parameters.detach()
-    tangents: list[tuple[Tensor | None, ...]] = []
+    directions = torch.eye(len(parameters), device=parameters.device).to(parameters)
     with torch.no_grad():
-        for direction in torch.eye(len(parameters), device=parameters.device).to(parameters):
-            with forward_ad.dual_level():
-                field, view = scene(forward_ad.make_dual(parameters, direction))
-                splats, composite = splat(field, view, near=near, backend=backend)
-                duals: tuple[Tensor, ...] = (view.pixel_coordinates(), *splats.differentiable())
-                if composite not in _IN_ONE_PASS:
-                    layers = composite(splats, duals[0])
-                    duals = (layers.features, layers.transmittance)
-                pairs = [forward_ad.unpack_dual(tensor) for tensor in duals]
-                values = [pair.primal for pair in pairs]
-                tangents.append(tuple(pair.tangent for pair in pairs))
+        field, view = scene(parameters)
+        hulls, composite = implementation(field.points, backend)
+        plan = Plan.of(field, view, near=near, hulls=hulls)
+        splats = plan.splats(field, view)
+
+        def parts(at: Tensor) -> tuple[Tensor, ...]:
+            field, view = scene(at)
+            return (view.pixel_coordinates(), *plan.splats(field, view).differentiable())
+
         if composite in _IN_ONE_PASS:
-            primal = Splats(splats.convex, splats.starts, *values[1:])
-            features, transmittance = _IN_ONE_PASS[composite](primal, values[0], tangents)
+            found = slopes(parts, parameters, directions)
+            tangents = [tuple(None if part is None else part[k] for part in found) for k in range(len(parameters))]
+            features, transmittance = _IN_ONE_PASS[composite](splats, view.pixel_coordinates(), tangents)
         else:
-            parts = zip(*tangents, strict=True)
+            layers = composite(splats, view.pixel_coordinates())
+            still = (layers.features, layers.transmittance)
+
+            def blended(at: Tensor) -> tuple[Tensor, ...]:
+                first, *rest = parts(at)
+                layers = composite(Splats(splats.convex, splats.starts, *rest), first)
+                return layers.features, layers.transmittance
+
+            found = slopes(blended, parameters, directions)
             features, transmittance = (
-                torch.stack([torch.zeros_like(value) if one is None else one for one in some])
-                for value, some in zip(values, parts, strict=True)
+                value.new_zeros(len(parameters), *value.shape) if one is None else one
+                for value, one in zip(still, found, strict=True)
             )
     background = features.new_ones(3) if background is None else background.to(features)
     colour = features[..., :3] + transmittance[..., None] * background

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from physconvex.convex import ConvexField, view_colours
@@ -46,6 +46,109 @@ class Splats:
         return self.lines, self.sharpness, self.opacity, self.features
 
 
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """Which points are the corners of polygons that belong to a group of convexes: no gradients.
+
+    Attributes:
+        owners: indices of the convexes, shape [N].
+        rows, corners, following: convex of the group, place of a corner and of the one after it, for each side, [S].
+        thin: indices of the group's convexes that are drawn as rectangles, shape [R].
+    """
+
+    owners: Int[Tensor, " N"]
+    rows: Int[Tensor, " S"]
+    corners: Int[Tensor, " S"]
+    following: Int[Tensor, " S"]
+    thin: Int[Tensor, " R"]
+
+    @classmethod
+    def of(
+        cls, owners: Int[Tensor, " N"], points: Float[Tensor, "N C 2"], hulls: Callable[[Tensor], Hulls], least: Tensor
+    ) -> Outline:
+        """Of candidates in the plane at unit distance; hulls narrower than `least` are thin."""
+        found = hulls(points)
+        thin = found.width < least
+        place = torch.arange(points.shape[1], device=points.device)
+        after = torch.where(place + 1 < found.number[:, None], place + 1, 0)
+        rows, sides = ((place < found.number[:, None]) & ~thin[:, None]).nonzero(as_tuple=True)
+        following = found.order.gather(1, after)
+        return cls(owners, rows, found.order[rows, sides], following[rows, sides], thin.nonzero()[:, 0])
+
+    @property
+    def owner_of_line(self) -> Int[Tensor, " L"]:
+        """Convex of each line."""
+        return torch.cat([self.owners[self.rows], self.owners[self.thin].repeat_interleave(4)])
+
+    def lines(self, points: Float[Tensor, "N C 2"], margin: Tensor) -> Float[Tensor, "L 3"]:
+        """Lines of the sides, and of the rectangles."""
+        sides = _lines(points[self.rows, self.corners], points[self.rows, self.following])
+        return torch.cat([sides, _rectangles(points[self.thin], margin)])
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Everything about the polygons that has no gradient: what is drawn, in which order, with which corners.
+
+    Attributes:
+        whole, cut: convexes beyond the near plane, and those that it cuts.
+        beyond: which points of the latter lie beyond it.
+        near: distance of that plane [m].
+        convex: the convexes that are drawn, nearest first, shape [M].
+        by_rank: order of the lines of both groups, shape [L].
+        starts: first line of each polygon, and the end, shape [M + 1].
+    """
+
+    whole: Outline
+    cut: Outline
+    beyond: Bool[Tensor, "N K"]
+    near: float
+    convex: Int[Tensor, " M"]
+    by_rank: Int[Tensor, " L"]
+    starts: Int[Tensor, " M1"]
+
+    @classmethod
+    @torch.no_grad()
+    def of(cls, field: ConvexField, view: View, *, near: float, hulls: Callable[[Tensor], Hulls]) -> Plan:
+        """For a field and a view."""
+        local = view.local(field.points)
+        depths = local[..., 2].clamp(min=near).mean(dim=1)
+        beyond = local[..., 2] > near
+        whole, cut = beyond.all(dim=1).nonzero()[:, 0], (beyond.any(dim=1) & ~beyond.all(dim=1)).nonzero()[:, 0]
+        least = _least_width(view)
+        groups = (
+            Outline.of(whole, local[whole][..., :2] / local[whole][..., 2:], hulls, least),
+            Outline.of(cut, _cut(local[cut], beyond[cut], near), hulls, least),
+        )
+        drawn = torch.cat([whole, cut])
+        drawn = drawn[torch.sort(depths[drawn], stable=True).indices]
+        rank = torch.empty(len(field), dtype=torch.long, device=drawn.device)
+        rank[drawn] = torch.arange(len(drawn), device=drawn.device)
+        rank_of_line, by_rank = torch.sort(rank[torch.cat([group.owner_of_line for group in groups])], stable=True)
+        starts = torch.searchsorted(rank_of_line, torch.arange(len(drawn) + 1, device=drawn.device))
+        return cls(*groups, beyond[cut], near, drawn, by_rank, starts)
+
+    def splats(self, field: ConvexField, view: View) -> Splats:
+        """The polygons, differentiable with respect to the field and the view."""
+        local = view.local(field.points)
+        depths = local[..., 2].clamp(min=self.near).mean(dim=1)
+        directions = field.centres - view.position
+        distances = torch.linalg.vector_norm(directions, dim=1, keepdim=True)
+        directions = directions / distances.clamp(min=torch.finfo(distances.dtype).tiny)
+        features = torch.cat([view_colours(field.harmonics, directions), depths[:, None]], dim=1)
+        whole, margin = local[self.whole.owners], 0.5 * _least_width(view)
+        lines = torch.cat(
+            [
+                self.whole.lines(whole[..., :2] / whole[..., 2:], margin),
+                self.cut.lines(_cut(local[self.cut.owners], self.beyond, self.near), margin),
+            ]
+        )[self.by_rank]
+        owners = torch.cat([self.whole.owner_of_line, self.cut.owner_of_line])[self.by_rank]
+        lines = lines * (field.smoothness * depths)[owners, None]
+        chosen = self.convex
+        return Splats(chosen, self.starts, lines, field.sharpness[chosen], field.opacity[chosen], features[chosen])
+
+
 def project_field(
     field: ConvexField, view: View, *, near: float = NEAR, hulls: Callable[[Tensor], Hulls] = planar_hulls
 ) -> Splats:
@@ -59,29 +162,12 @@ def project_field(
     Args:
         hulls: finds the corners: `planar_hulls` or its equivalent in the kernel.
     """
-    local = view.local(field.points)
-    depths = local[..., 2].clamp(min=near).mean(dim=1)
-    directions = field.centres - view.position
-    distances = torch.linalg.vector_norm(directions, dim=1, keepdim=True)
-    directions = directions / distances.clamp(min=torch.finfo(distances.dtype).tiny)
-    features = torch.cat([view_colours(field.harmonics, directions), depths[:, None]], dim=1)
+    return Plan.of(field, view, near=near, hulls=hulls).splats(field, view)
 
-    beyond = local.detach()[..., 2] > near
-    whole, cut = beyond.all(dim=1).nonzero()[:, 0], (beyond.any(dim=1) & ~beyond.all(dim=1)).nonzero()[:, 0]
-    groups = [
-        _polygons(whole, local[whole][..., :2] / local[whole][..., 2:], view, hulls),
-        _polygons(cut, _cut(local[cut], beyond[cut], near), view, hulls),
-    ]
-    owners, lines = (torch.cat(parts) for parts in zip(*groups, strict=True))
-    drawn = torch.cat([whole, cut])
-    drawn = drawn[torch.sort(depths.detach()[drawn], stable=True).indices]
-    rank = torch.empty(len(field), dtype=torch.long, device=drawn.device)
-    rank[drawn] = torch.arange(len(drawn), device=drawn.device)
-    rank_of_line, by_rank = torch.sort(rank[owners], stable=True)
-    owners = owners[by_rank]
-    lines = lines[by_rank] * (field.smoothness * depths)[owners, None]
-    starts = torch.searchsorted(rank_of_line, torch.arange(len(drawn) + 1, device=drawn.device))
-    return Splats(drawn, starts, lines, field.sharpness[drawn], field.opacity[drawn], features[drawn])
+
+def _least_width(view: View) -> Tensor:
+    """Of a drawn polygon, on the plane at unit distance."""
+    return THIN / view.focal.prod().sqrt()
 
 
 def _lines(corners: Float[Tensor, "L 2"], following: Float[Tensor, "L 2"]) -> Float[Tensor, "L 3"]:
@@ -110,20 +196,6 @@ def _cut(local: Float[Tensor, "N K 3"], beyond: Tensor, near: float) -> Float[Te
     return candidates[..., :2] / candidates[..., 2:]
 
 
-def _polygons(
-    owners: Int[Tensor, " N"], points: Float[Tensor, "N C 2"], view: View, hulls: Callable[[Tensor], Hulls]
-) -> tuple[Tensor, Tensor]:
-    """Owner [L] and line [L, 3] of every side of the hulls."""
-    found = hulls(points)
-    least_width = THIN / view.focal.prod().sqrt()
-    thin = found.width < least_width.detach()
-    corners, following, is_side = _ends(points, found)
-    is_side = is_side & ~thin[:, None]
-    rectangles = _rectangles(points[thin], 0.5 * least_width)
-    owner = torch.cat([owners[:, None].expand(is_side.shape)[is_side], owners[thin].repeat_interleave(4)])
-    return owner, torch.cat([_lines(corners[is_side], following[is_side]), rectangles])
-
-
 def _rectangles(points: Float[Tensor, "N C 2"], margin: Tensor) -> Float[Tensor, "N4 3"]:
     """Lines of the rectangles of all points within a margin of the longest chords, or of squares about tiny hulls.
 
@@ -143,11 +215,3 @@ def _rectangles(points: Float[Tensor, "N C 2"], margin: Tensor) -> Float[Tensor,
     through = torch.stack([middle, middle, end, start], dim=1)
     offsets = -(normals * through).sum(dim=-1, keepdim=True) - margin
     return torch.cat([normals, offsets], dim=-1).flatten(0, 1)
-
-
-def _ends(points: Tensor, hulls: Hulls) -> tuple[Tensor, Tensor, Tensor]:
-    """Corners in order, the corner after each, and the valid places."""
-    place = torch.arange(points.shape[1], device=points.device)
-    after = torch.where(place + 1 < hulls.number[:, None], place + 1, 0)
-    rows = torch.arange(len(points), device=points.device)[:, None]
-    return points[rows, hulls.order], points[rows, hulls.order.gather(1, after)], place < hulls.number[:, None]

@@ -18,6 +18,7 @@ from physconvex.kernels import KernelUnavailable
 from physconvex.render.compiled import RENDER_KERNEL, composite_kernel, planar_hulls_kernel
 from physconvex.render.cuda import composite_cuda, planar_hulls_cuda
 from physconvex.render.cuda_trial import cuda_draws_rightly
+from physconvex.render.hull import Hulls, planar_hulls
 from physconvex.render.projection import NEAR, Splats, project_field
 from physconvex.render.reference import Layers, composite_reference
 from physconvex.render.view import View
@@ -48,15 +49,22 @@ class RenderedImage:
         return torch.where(seen, self.weighted_depth / torch.where(seen, self.alpha, 1.0), torch.inf)
 
 
-def splat(
-    field: ConvexField, view: View, *, near: float = NEAR, backend: Backend = "auto"
-) -> tuple[Splats, Callable[[Splats, Tensor], Layers]]:
+Composite = Callable[[Splats, Tensor], Layers]
+
+
+def implementation(tensor: Tensor, backend: Backend = "auto") -> tuple[Callable[[Tensor], Hulls], Composite]:
+    """The functions that find hulls and blend polygons for tensors like this one, see `render`."""
+    if backend == "cuda" or (backend == "auto" and _is_fast_on(tensor)):
+        return planar_hulls_cuda, composite_cuda
+    if _uses_kernel(tensor, backend):
+        return planar_hulls_kernel, composite_kernel
+    return planar_hulls, composite_reference
+
+
+def splat(field: ConvexField, view: View, *, near: float = NEAR, backend: Backend = "auto") -> tuple[Splats, Composite]:
     """The polygons of a field, and the function that blends them, by the chosen implementation, see `render`."""
-    if backend == "cuda" or (backend == "auto" and _is_fast_on(field.points)):
-        return project_field(field, view, near=near, hulls=planar_hulls_cuda), composite_cuda
-    if _uses_kernel(field.points, backend):
-        return project_field(field, view, near=near, hulls=planar_hulls_kernel), composite_kernel
-    return project_field(field, view, near=near), composite_reference
+    hulls, composite = implementation(field.points, backend)
+    return project_field(field, view, near=near, hulls=hulls), composite
 
 
 def _is_fast_on(tensor: Tensor) -> bool:

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from inference import RefineOptions
 from inference.refinement.command import refine_command
 from inference.refinement.reduced_search import scan_range
-from inference.refinement.stages import arrays_of_scan
+from inference.refinement.stages import RefinementRun, arrays_of_scan
 from physconvex import InputError
 from physconvex.identify import Candidate
 from physconvex.io import Capture, look_at
@@ -25,6 +25,20 @@ def capture(tmp_path, *cameras):
     return Capture(tmp_path, 24.0, 4, 3, cameras)
 
 
+def range_of(tmp_path, **options):
+    return scan_range(RefinementRun(capture(tmp_path, CAMERA), RefineOptions(**options)), SIZE)
+
+
+def answer(low, high, ratio=0.4):
+    middle = (low * high) ** 0.5
+    return SimpleNamespace(
+        youngs_modulus=middle,
+        youngs_modulus_interval=(low, high),
+        poisson_ratio=ratio,
+        poisson_ratio_interval=(0.2, 0.45),
+    )
+
+
 def predicts(monkeypatch, answer, place="cpu"):
     def predict(path, checkpoint, device):
         assert device == place
@@ -36,22 +50,22 @@ def predicts(monkeypatch, answer, place="cpu"):
 
 
 def test_the_scan_covers_the_predicted_interval(monkeypatch, tmp_path):
-    predicts(monkeypatch, SimpleNamespace(youngs_modulus_interval=(1e4, 1e6), poisson_ratio=0.4))
-    where = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions(start="predict"))
+    predicts(monkeypatch, answer(1e4, 1e6))
+    where = range_of(tmp_path, start="predict")
     np.testing.assert_allclose(where.moduli, [4, 4.5, 5, 5.5, 6])
     assert where.ratios == (0.4, 0.3) and where.predicted == (4.0, 6.0) and where.note == ""
 
 
 def test_the_network_predicts_on_the_device_that_is_asked_for(monkeypatch, tmp_path):
     predicts(monkeypatch, InputError("was asked"), place="meta")
-    assert "was asked" in scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions(device="meta")).note
+    assert "was asked" in range_of(tmp_path, device="meta").note
 
 
 def test_what_the_prediction_leaves_out_is_scanned_coarsely(monkeypatch, tmp_path):
     """A prediction that was a decade off led a hammer's fit to 1.7 decades from the truth."""
-    predicts(monkeypatch, SimpleNamespace(youngs_modulus_interval=(1e5, 1e6), poisson_ratio=0.4))
-    where = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions())
-    everywhere = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions(start="scan")).moduli
+    predicts(monkeypatch, answer(1e5, 1e6))
+    where = range_of(tmp_path)
+    everywhere = range_of(tmp_path, start="scan").moduli
     beyond = [value for value in everywhere if not 4.8 <= value <= 6.2]
     assert len(beyond) >= 4 and set(beyond) < set(where.moduli)
     assert sum(5 <= value <= 6 for value in where.moduli) == 5 and len(where.moduli) == 5 + len(beyond)
@@ -64,22 +78,21 @@ def test_a_start_within_the_prediction_is_kept():
 
 
 def test_an_overconfident_interval_is_widened(monkeypatch, tmp_path):
-    predicts(monkeypatch, SimpleNamespace(youngs_modulus_interval=(1e5, 1e5), poisson_ratio=0.3))
-    where = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions(start="predict"))
+    predicts(monkeypatch, answer(1e5, 1e5, 0.3))
+    where = range_of(tmp_path, start="predict")
     np.testing.assert_allclose((where.moduli[0], where.moduli[-1]), [4.6, 5.4])
     assert where.ratios == (0.3, 0.45)
 
 
 def test_without_a_prediction_the_whole_range_is_scanned_and_that_is_said(monkeypatch, tmp_path):
     predicts(monkeypatch, InputError("no video"))
-    seen = capture(tmp_path, CAMERA)
-    where = scan_range(seen, SIZE, RefineOptions())
+    where = range_of(tmp_path)
     assert "no video" in where.note and where.moduli[-1] - where.moduli[0] > 3.5
     # E/(ρ g L) from about 0.5 on
     assert where.moduli[0] == pytest.approx(np.log10(0.5 * 1000 * 9.81 * 0.5), abs=0.01)
     with pytest.raises(InputError, match="no video"):
-        scan_range(seen, SIZE, RefineOptions(start="predict"))
-    assert scan_range(capture(tmp_path), SIZE, RefineOptions()).note == ""
+        range_of(tmp_path, start="predict")
+    assert scan_range(RefinementRun(capture(tmp_path)), SIZE).note == ""
 
 
 def test_options_are_checked():

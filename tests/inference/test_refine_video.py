@@ -117,6 +117,32 @@ def test_one_camera_is_enough(folder, tmp_path):
 
 
 @pytest.mark.slow
+def test_the_convex_twin_alone_tells_the_material_from_the_pixels(folder, tmp_path):
+    """Stages of the quick answer, which continues from what is stored, and its rows."""
+    stages = []
+    start = {"log10_youngs_modulus": 4.5, "poisson_ratio": 0.3}
+    options = RefineOptions(initial=start, **FEW | {"field_budget": 600, "field_steps": 40}, stop_after="convex")
+    found = refine(folder, out=tmp_path, options=options, on_stage=lambda *stage: stages.append(stage))
+    names = ["points", "reduced", "convex_basis", "field", "convex_24", "convex_48", "convex_96", "motion"]
+    assert sorted(name for name, _ in stages) == sorted([*names, "field"]) and not any(
+        stored for _, stored in stages[:4]
+    )
+    assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.1)
+    assert found["poisson_ratio"].value == pytest.approx(TRUTH["poisson_ratio"], abs=0.1)
+    assert found.sources[0].startswith("camera front: ") and found.sources[0].endswith(" pixels")
+    (row,) = found.stages
+    assert row.name == "convex twin" and row.log10_youngs_modulus == found["log10_youngs_modulus"].value
+    low, high = row.intervals[0]
+    assert low < TRUTH["log10_youngs_modulus"] < high
+    assert found.to_json()["stages"]["convex twin"]["poisson_ratio"]["value"] == row.poisson_ratio
+    again = []
+    refine(folder, out=tmp_path, options=options, on_stage=lambda *stage: again.append(stage))
+    assert all(stored for _, stored in again)
+    with pytest.raises(InputError, match="stop_after is 'convex', but there is no video with masks, or no convex"):
+        refine(folder, options=options.replace(field=False))
+
+
+@pytest.mark.slow
 def test_markers_and_videos_are_fitted_together(motion, tmp_path):
     some, states, rng = slice(None, None, 40), motion[::FINER], np.random.default_rng(0)
     seen = states[:, some] + rng.normal(scale=1e-3, size=states[:, some].shape)
