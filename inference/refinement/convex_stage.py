@@ -61,10 +61,13 @@ def convex_fit(
     Raises:
         InputError: `stop_after` asks for it and it is impossible.
     """
+    wanted, last = run.options.convex, run.options.stop_after is not None
+    if not (last or (run.reconstruction is not None if wanted is None else wanted)):
+        return None
     try:
-        return _fitted(run, problem, start, candidates, rest) if run.options.convex else None
+        return _fitted(run, problem, start, candidates, rest)
     except (ConvergenceError, InputError) as error:
-        if run.options.stop_after is not None:
+        if last:
             raise
         run.warnings.append(f"The convex twin was not fitted ({error}).")
         return None

@@ -86,8 +86,9 @@ class RefineOptions(Options):
     basis: Annotated[Literal["elastic", "eigenmodes", "neural", "predicted"], _MODEL] = "elastic"
     """Skinning weights of the convex twin: elastic (vibrations and responses to contacts), eigenmodes, neural (trained
     on the body alone), or predicted by the network."""
-    convex: Annotated[bool, _MODEL] = True
-    """Fit the convex twin to all pixels of the videos; its values are a start of the correction."""
+    convex: Annotated[bool | None, _MODEL] = None
+    """Fit the convex twin to all pixels of the videos; its values are a start of the correction. Default: if the body
+    is reconstructed from pictures."""
     stop_after: Annotated[Literal["convex"] | None, _MODEL] = None
     """Stop after this stage: convex gives the quick answer of the convex twin, without the full-order model."""
     max_nodes: Annotated[int, Field(ge=30), _MODEL] = 500

@@ -14,7 +14,7 @@ from physconvex.errors import InputError
 from physconvex.render.compiled import composite_kernel, composite_tangents
 from physconvex.render.cuda import composite_cuda, composite_tangents_cuda
 from physconvex.render.directions import slopes
-from physconvex.render.projection import NEAR, Plan, Splats
+from physconvex.render.projection import NEAR, PolygonPlan, Splats
 from physconvex.render.rasterize import Backend, implementation
 from physconvex.render.view import View
 
@@ -62,7 +62,7 @@ def render_jacobian(
     with torch.no_grad():
         field, view = scene(parameters)
         hulls, composite = implementation(field.points, backend)
-        plan = Plan.of(field, view, near=near, hulls=hulls)
+        plan = PolygonPlan.of(field, view, near=near, hulls=hulls)
         splats = plan.splats(field, view)
 
         def parts(at: Tensor) -> tuple[Tensor, ...]:

@@ -87,7 +87,7 @@ class Outline:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class PolygonPlan:
     """Everything about the polygons that has no gradient: what is drawn, in which order, with which corners.
 
     Attributes:
@@ -109,7 +109,7 @@ class Plan:
 
     @classmethod
     @torch.no_grad()
-    def of(cls, field: ConvexField, view: View, *, near: float, hulls: Callable[[Tensor], Hulls]) -> Plan:
+    def of(cls, field: ConvexField, view: View, *, near: float, hulls: Callable[[Tensor], Hulls]) -> PolygonPlan:
         """For a field and a view."""
         local = view.local(field.points)
         depths = local[..., 2].clamp(min=near).mean(dim=1)
@@ -162,7 +162,7 @@ def project_field(
     Args:
         hulls: finds the corners: `planar_hulls` or its equivalent in the kernel.
     """
-    return Plan.of(field, view, near=near, hulls=hulls).splats(field, view)
+    return PolygonPlan.of(field, view, near=near, hulls=hulls).splats(field, view)
 
 
 def _least_width(view: View) -> Tensor:
