@@ -71,8 +71,8 @@ def rest_geometry_of(
     found = reconstruct(capture.folder, out=folder, options=options)
     if found.body is None:
         raise InputError(
-            f"{capture.folder}: no rest geometry, and the silhouettes of frame 0 share no point in space; check the "
-            "cameras' poses and the masks, or give the closed surface as body"
+            f"{capture.folder}: no rest geometry, and the silhouettes of frame 0 share no point in space. "
+            f"{' '.join(found.warnings)} Or give the closed surface as body"
         )
     _LOG.info("rest geometry: %.4g m³ from %d views", found.body.volume, len(found.training))
     return _with_body(capture, found.body), found

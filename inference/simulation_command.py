@@ -111,7 +111,10 @@ def simulate_command(
     if body is not None and len(assets) > 1:
         raise InputError(f"body (--body): got {len(assets)} assets; expected one, whose surface it replaces")
     quiet = as_json or not progress or not sys.stderr.isatty()
-    found = [_asset(path, out / f"asset_{k}" if len(assets) > 1 else out, body) for k, path in enumerate(assets, 1)]
+    found = []
+    for number, path in enumerate(assets, start=1):
+        folder = out / f"asset_{number}" if len(assets) > 1 else out
+        found.append(_asset(path, folder, body, told=progress))
     objects, configs = configure_assets(found, preset=options.preset, settings=options.overrides)
     with tqdm(total=configs[0].time.frames - 1, unit="frame", disable=quiet) as bar:
         played = play_together(objects, configs, on_frame=lambda _: bar.update())
@@ -126,7 +129,7 @@ def simulate_command(
         )
 
 
-def _asset(path: Path, out: Path, body: Path | None) -> Asset:
+def _asset(path: Path, out: Path, body: Path | None, *, told: bool) -> Asset:
     """What moves: of a capture its surface and density; its convex field, if it is reconstructed in `out`."""
     from physconvex.io import CAPTURE_FILE, load_capture
     from physconvex.play import Asset, RestSurface, read_asset, read_surface
@@ -140,7 +143,9 @@ def _asset(path: Path, out: Path, body: Path | None) -> Asset:
     from physconvex.mesh import with_merged_vertices
 
     def say(stage: str, stored: bool) -> None:
-        print(f"physconvex simulate: {path}: {stage}{' (read again)' if stored else ' …'}", file=sys.stderr, flush=True)
+        if told:
+            note = " (read again)" if stored else " …"
+            print(f"physconvex simulate: {path}: {stage}{note}", file=sys.stderr, flush=True)
 
     capture, made = rest_geometry_of(load_capture(path), body=body, out=out, on_stage=say)
     surface = surface_of_capture(capture)

@@ -23,7 +23,9 @@ _MOST = 0.02  # of the size: a greater displacement is shortened, and its effect
 def geometry_error(
     run: RefinementRun, full: FullModel, found: Fit, seen: Observations
 ) -> Float[np.ndarray, " K"] | None:
-    """Standard deviation of each value by the error of the reconstructed body; None with a given geometry.
+    """Standard deviation of each value by the error of the reconstructed body.
+
+    None with a given geometry; NaN, unknown, where the quick answer of an early stage is asked for.
 
     The full model is rolled out on the twin's mesh, filled by the surface and by displaced ones. To first order, the
     differences of the residuals move the values.
@@ -38,6 +40,8 @@ def geometry_error(
     if made is None or made.body is None or made.error is None:
         return None
     body, error = made.body, made.error
+    if run.options.stop_after is not None:
+        return np.full(len(found.values), np.nan)
 
     def compute() -> Arrays:
         parts = parameter_errors(replace(full, points=seen.points), found, seen, body, error)

@@ -203,7 +203,7 @@ def _result(
     found, full = told.fit, full or problem.full(run.memory)
     motion = refined_motion(run, full, found, mesh=told.mesh)
     appearance = appearance_of(motion, rest)
-    by_geometry = None if run.options.stop_after is not None else geometry_error(run, full, found, problem.seen)
+    by_geometry = geometry_error(run, full, found, problem.seen)
     estimates, rms, notes = _estimates(problem, told, by_geometry)
     drift, fixed = drift_of(problem, found), _fixed(run, problem)
     run.warnings += [*notes, *(() if drift is None else drift.sentences())]

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from inference import FittedParameter, RefinementRun
+from inference import FittedParameter, RefinementRun, RefineOptions
+from inference.refinement.command import _print
 from inference.refinement.estimates import fitted_parameters
 from inference.refinement.geometry_error import geometry_error, parameter_errors
+from inference.refinement.result import ReconstructionRow
 from physconvex import ConvergenceError
 from physconvex.identify import (
     FitOptions,
@@ -110,3 +112,21 @@ def test_a_failure_leaves_it_unknown_and_is_told(bar, monkeypatch):
     run = run_with(body, error_of(body))
     assert np.isnan(geometry_error(run, model, found, seen)).all()
     assert "turned over" in run.warnings[0]
+    run.options = RefineOptions(stop_after="convex")  # the quick answer does not wait for it
+    assert np.isnan(geometry_error(run, model, found, seen)).all() and len(run.warnings) == 1
+
+
+@pytest.mark.wrong_types
+def test_the_console_shows_it_and_the_reconstruction(tmp_path, capsys):
+    estimate = FittedParameter("poisson_ratio", 0.3, 0.01, 0.02, (0.2, 0.4), 0.0, 0.495, None, 0.0347)
+    row = ReconstructionRow(volume=1.25e-4, size=0.21, views=12, unseen=0.08, psnr=34.25, seconds=190.0)
+    shown = {}
+    for made in (None, row):
+        _print(SimpleNamespace(
+            estimates=[estimate], youngs_modulus=1e5, poisson_ratio=0.3, warnings=[], reconstruction=made,
+            identifiability=SimpleNamespace(sentences=[]),
+        ), tmp_path)  # fmt: skip
+        shown[made] = capsys.readouterr().out
+    assert "geometry" not in shown[None] and "0.035" not in shown[None]
+    assert "geometry" in shown[row] and "0.035" in shown[row]
+    assert "body from 12 pictures: 125 cm³, 210 mm long, 8 % of the surface unseen, PSNR 34.2 dB" in shown[row]
