@@ -26,11 +26,12 @@ from .given_fields import (
     snapshot_weights as snapshot_weights,
 )
 from .neural_field import (
+    DataFreeEnergy as DataFreeEnergy,
     NeuralFieldOptions as NeuralFieldOptions,
-    NeuralWeights as NeuralWeights,
     train_neural_weights as train_neural_weights,
     untrained_neural_weights as untrained_neural_weights,
 )
+from .neural_weights import NeuralWeights as NeuralWeights
 from .parameters import (
     PARAMETERS as PARAMETERS,
     parameter_values as parameter_values,

@@ -12,7 +12,7 @@ options suit every body; a stiff part moves as one.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -24,8 +24,8 @@ from physconvex.errors import InputError
 from physconvex.materials import checked_constant, get_law, lame_parameters
 from physconvex.reduced.basis import check_count
 from physconvex.reduced.cubature import BodySamples
+from physconvex.reduced.neural_weights import Layers, NeuralWeights, values_and_gradients
 
-Layers = list[tuple[Tensor, Tensor]]
 PerCell = float | Float[np.ndarray, " C"]
 
 
@@ -69,53 +69,6 @@ class NeuralFieldOptions:
                 raise InputError(f"{name}: got {getattr(self, name)}; expected a finite number > 0")
 
 
-@dataclass(frozen=True, eq=False)
-class NeuralWeights:
-    """Skinning weights given by a small network, C^∞, in float64; a `WeightField`.
-
-    Attributes:
-        layers: weight matrices [O, I] and biases [O] of the network, SiLU between them.
-        center: rest position of the network's origin [m], shape [3].
-        size: length unit of the network [m].
-        elastic_history: mean elastic term of each training step (unit: mean modulus), shape [T].
-        orthogonality_history: orthogonality term ‖·‖² of each training step, shape [T].
-    """
-
-    layers: tuple[tuple[Tensor, Tensor], ...] = field(repr=False)
-    center: Float[np.ndarray, " 3"]
-    size: float
-    elastic_history: Float[np.ndarray, " T"] = field(repr=False)
-    orthogonality_history: Float[np.ndarray, " T"] = field(repr=False)
-
-    @property
-    def count(self) -> int:
-        """M, the number of weights besides the constant one."""
-        return len(self.layers[-1][1])
-
-    def __call__(self, points: Float[Tensor, "P 3"]) -> Float[Tensor, "P M"]:
-        """Values [-] at rest positions [m], differentiable by torch, also by `layers` that require gradients."""
-        return _values_and_gradients(list(self.layers), (points - torch.as_tensor(self.center)) / self.size)[0]
-
-    def at(self, points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "P M"], Float[np.ndarray, "P M 3"]]:
-        """Values [-] and exact gradients [1/m] at rest positions [m]."""
-        with torch.no_grad():
-            x = torch.as_tensor((np.asarray(points, dtype=np.float64) - self.center) / self.size)
-            values, gradients = _values_and_gradients(list(self.layers), x)
-        return values.numpy(), gradients.numpy() / self.size
-
-
-def _values_and_gradients(layers: Layers, x: Tensor) -> tuple[Tensor, Tensor]:
-    """W [P, M] and ∂W/∂x [P, M, 3] by the chain rule carried forward: SiLU'(a) = s (1 + a (1 − s)), s = sigmoid(a)."""
-    values, slopes = x, torch.eye(3, dtype=x.dtype).expand(len(x), 3, 3)  # slopes: [P, axis, feature]
-    for number, (weight, bias) in enumerate(layers):
-        values, slopes = values @ weight.mT + bias, slopes @ weight.mT
-        if number < len(layers) - 1:
-            s = torch.sigmoid(values)
-            slopes = slopes * (s * (1 + values * (1 - s)))[:, None]
-            values = values * s
-    return values, slopes.mT
-
-
 def _deformation_gradients(values: Tensor, gradients: Tensor, x: Tensor, transforms: Tensor) -> Tensor:
     """F = I + Σ_m W_m A_m + (A_m x + t_m) ⊗ ∂W_m/∂x for Z = [A t] of shape [B, M, 3, 4]; shape [B, P, 3, 3]."""
     linear, shift = transforms[..., :3], transforms[..., 3]
@@ -135,13 +88,28 @@ def _initial_layers(sizes: list[int], generator: torch.Generator) -> Layers:
     ]
 
 
-class _Trainer:
-    """The loss of eq. 4 on random points and transforms of one body."""
+class DataFreeEnergy:
+    """The loss of eq. 4 on random points and transforms of one body.
+
+    Args:
+        samples: of the body.
+        youngs_modulus: E [Pa], scalar or per cell [C]; only its ratios matter.
+        poisson_ratio: ν [-], scalar or per cell [C].
+        options: `points`, `transforms`, `transform_scale`, `orthogonality`, `law`.
+
+    Raises:
+        InputError: constants of a wrong shape or range.
+    """
 
     def __init__(
-        self, samples: BodySamples, youngs_modulus: PerCell, poisson_ratio: PerCell, options: NeuralFieldOptions
+        self,
+        samples: BodySamples,
+        *,
+        youngs_modulus: PerCell = 1.0,
+        poisson_ratio: PerCell = 0.4,
+        options: NeuralFieldOptions | None = None,
     ) -> None:
-        interior, self.options = samples.interior, options
+        interior, self.options = samples.interior, NeuralFieldOptions() if options is None else options
         self.center = interior.weights @ interior.points / interior.volume
         self.size = samples.size
         self.x = torch.as_tensor((interior.points - self.center) / self.size)
@@ -151,14 +119,29 @@ class _Trainer:
         ratio = checked_constant("poisson_ratio", poisson_ratio, cells)[interior.cells]
         mean = interior.weights @ modulus / interior.volume
         self.mu, self.lam = lame_parameters(torch.as_tensor(modulus / mean), torch.as_tensor(ratio))
-        self.law = get_law(options.law)
+        self.law = get_law(self.options.law)
+
+    def __call__(self, weights: NeuralWeights, generator: torch.Generator) -> Float[Tensor, ""]:
+        """Elastic energy (unit: mean modulus) and c times the orthogonality term, differentiable by `layers`.
+
+        Raises:
+            InputError: the weights belong to a body of another place or size.
+        """
+        moved = np.abs(np.append(weights.center - self.center, weights.size - self.size)).max()
+        if moved > 1e-6 * self.size:
+            raise InputError(
+                f"weights: their origin and size are {weights.center} and {weights.size:.6g} m; expected those of the "
+                f"body, {self.center} and {self.size:.6g} m"
+            )
+        elastic, orthogonality = self.terms(weights.layers, generator)
+        return elastic + self.options.orthogonality * orthogonality
 
     def terms(self, layers: Layers, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Elastic and orthogonality term of one step."""
         o, count = self.options, len(layers[-1][1])
         rows = torch.multinomial(self.weights, o.points, replacement=True, generator=generator)
         x = self.x[rows]
-        values, gradients = _values_and_gradients(layers, x)
+        values, gradients = values_and_gradients(layers, x)
         transforms = o.transform_scale * torch.randn(
             o.transforms, count, 3, 4, dtype=torch.float64, generator=generator
         )
@@ -217,7 +200,7 @@ def train_neural_weights(
     """
     options = NeuralFieldOptions() if options is None else options
     check_count(count)
-    trainer = _Trainer(samples, youngs_modulus, poisson_ratio, options)
+    trainer = DataFreeEnergy(samples, youngs_modulus=youngs_modulus, poisson_ratio=poisson_ratio, options=options)
     layers = _initial_layers([3, *[options.hidden_size] * options.hidden_layers, count], generator)
     elastic, orthogonality = trainer.train(layers, generator, on_step)
     if not all(bool(torch.isfinite(tensor).all()) for layer in layers for tensor in layer):

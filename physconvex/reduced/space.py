@@ -133,6 +133,12 @@ class ReducedSpace:
         """N_a at rest positions [m]: positions of the points are `shape_values(points) @ y`."""
         return self._raw_values(points) @ self._transform
 
+    def shape_values_of(
+        self, points: Float[np.ndarray, "P 3"], weights: Float[np.ndarray, "P M"]
+    ) -> Float[np.ndarray, "P R"]:
+        """N_a at rest positions [m] from the weights there, which are known already."""
+        return self._times_position(points, np.hstack([np.ones((len(points), 1)), weights])) @ self._transform
+
     def shape_gradients(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P R 3"]:
         """∂N_a/∂X at rest positions [1/m]."""
         raw = self._raw_gradients(points)
