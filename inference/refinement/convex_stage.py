@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+import torch
 
 from inference.refinement.appearance import RestField
 from inference.refinement.observations import Observed
@@ -24,11 +25,13 @@ from physconvex.identify import (
     convex_twin,
     first_contact,
     fit,
+    fit_weights,
     misfit_of,
     skinning_weights,
+    with_weights,
 )
 from physconvex.io import Camera
-from physconvex.reduced import NodalWeights, PredictedField, WeightField, predicted_weights
+from physconvex.reduced import NeuralWeights, NodalWeights, PredictedField, WeightField, predicted_weights
 
 CONVEX = "convex twin"
 _LEVELS = (24, 48, 96)  # compared pixels across the object, coarse to fine
@@ -92,7 +95,29 @@ def _fitted(
         if number == 0 and len(candidates) > 1:
             found = _nearest(run, problem, found, candidates)
         found = run.fit(f"convex_{pixels}", problem.parameters, partial(_search, problem, found, _OPTIONS[number]))
+    for turn in range(run.options.fit_weights):
+        problem = _with_fitted_weights(run, problem, found, f"convex_weights_{turn}")
+        found = run.fit(f"convex_turn_{turn}", problem.parameters, partial(_search, problem, found, _OPTIONS[-1]))
     return ConvexFit(problem, found)
+
+
+def _with_fitted_weights(run: RefinementRun, problem: Problem, found: Fit, stage: str) -> Problem:
+    """The problem with the network of its weights fitted to the images, at the values and the drift of a fit."""
+    twin, weights = problem.twin.with_values(found.names, found.values), problem.twin.scene.body.space.field
+    parts = [p for p in problem.observed.observations.parts if isinstance(p, PhotometricObservations)]
+    assert isinstance(weights, NeuralWeights)
+
+    def compute() -> Arrays:
+        seen = problem.seen
+        shift = None
+        if isinstance(seen, RigidDriftObservations):
+            shift = seen.drift(problem.reduced().positions(found.values))
+        fitted = fit_weights(twin, parts, shift=shift).twin.scene.body.space.field
+        assert isinstance(fitted, NeuralWeights)
+        return {"theta": fitted.theta.numpy()}
+
+    theta = torch.as_tensor(run.stages.run(stage, compute)["theta"])
+    return replace(problem, twin=with_weights(problem.twin, weights.with_theta(theta)))
 
 
 def _seen_in(problem: Problem, found: Fit) -> Problem:

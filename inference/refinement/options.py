@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from inference.settings import ReconstructOptions
 from physconvex import InputError
@@ -86,6 +86,9 @@ class RefineOptions(Options):
     basis: Annotated[Literal["elastic", "eigenmodes", "neural", "predicted"], _MODEL] = "elastic"
     """Skinning weights of the convex twin: elastic (vibrations and responses to contacts), eigenmodes, neural (trained
     on the body alone), or predicted by the network."""
+    fit_weights: Annotated[int, Field(ge=0), _MODEL] = 0
+    """How often the network of the weights (basis neural) is fitted to the finest images, E and ν after it; held near
+    the energy that it was trained with."""
     convex: Annotated[bool | None, _MODEL] = None
     """Fit the convex twin to all pixels of the videos; its values are a start of the correction. Default: if the body
     is reconstructed from pictures."""
@@ -126,6 +129,15 @@ class RefineOptions(Options):
     processes: Annotated[int, Field(ge=1), CommandLine(hidden=True)] = 1
     """Number of simulations at once; it changes results by rounding only. With more than one, a script that calls
     `refine` needs `if __name__ == "__main__"`, as for all worker processes in Python."""
+
+    @model_validator(mode="after")
+    def _fitted_weights(self) -> Self:
+        if self.fit_weights and self.basis != "neural":
+            raise InputError(
+                f"fit_weights: got {self.fit_weights} with basis {self.basis!r}; expected basis 'neural', that of a "
+                "network, or 0"
+            )
+        return self
 
     @field_validator("fixed")
     @classmethod

@@ -21,6 +21,12 @@ from .free_parameters import (
     start_motion as start_motion,
     with_free_friction as with_free_friction,
 )
+from .image_loss import (
+    moved_points as moved_points,
+    of_visible as of_visible,
+    simulation_loss as simulation_loss,
+    with_few_samples as with_few_samples,
+)
 from .levenberg_marquardt import Fit as Fit, FitOptions as FitOptions, Iteration as Iteration, fit as fit
 from .model import FullModel as FullModel, ReducedModel as ReducedModel, roll_out_together as roll_out_together
 from .model_error import (
@@ -89,3 +95,9 @@ from .video_tracks import (
     seed_points as seed_points,
 )
 from .visible_points import cast_camera_rays as cast_camera_rays, shaded as shaded, unit_normals as unit_normals
+from .weight_fit import (
+    WeightFit as WeightFit,
+    WeightFitOptions as WeightFitOptions,
+    fit_in_turns as fit_in_turns,
+    fit_weights as fit_weights,
+)

@@ -68,7 +68,7 @@ class PhotometricObservations(EvaluatedObservations):
                 f"images, background: got {np.shape(self.images)} and {np.shape(self.background)}; expected [T, H, W, "
                 f"3] and [H, W, 3] of camera {self.camera.name!r}, {shape[0]} × {shape[1]} pixels"
             )
-        if np.shape(self.windows) != (len(self.images), 4) or not self._sizes.any():
+        if np.shape(self.windows) != (len(self.images), 4) or not self.sizes.any():
             raise InputError(f"windows: got {np.shape(self.windows)}; expected [{len(self.images)}, 4], not all empty")
 
     @classmethod
@@ -122,13 +122,14 @@ class PhotometricObservations(EvaluatedObservations):
         return self.field.points.detach().double().numpy().reshape(-1, 3)
 
     @property
-    def _sizes(self) -> Int[np.ndarray, " T"]:
+    def sizes(self) -> Int[np.ndarray, " T"]:
+        """Number of compared pixels in each frame."""
         return (self.windows[:, 1] - self.windows[:, 0]) * (self.windows[:, 3] - self.windows[:, 2])
 
     @cached_property
     def frames(self) -> Int[np.ndarray, " N"]:
         """Frame of each residual."""
-        return np.repeat(np.arange(len(self.images)), 3 * self._sizes)
+        return np.repeat(np.arange(len(self.images)), 3 * self.sizes)
 
     @property
     def point_indices(self) -> Int[np.ndarray, " N"]:
@@ -152,7 +153,7 @@ class PhotometricObservations(EvaluatedObservations):
         Few convexes of a body show, and the others cost as much.
         """
         kind, seen = self.field.points, torch.zeros(len(self.field), dtype=torch.bool)
-        for frame in np.flatnonzero(self._sizes):
+        for frame in np.flatnonzero(self.sizes):
             view = self._view(self.windows[frame])
             moved = torch.as_tensor(positions[frame]).to(kind).reshape(kind.shape)
             colours = torch.zeros((len(self.field), 1, 3), dtype=kind.dtype, requires_grad=True)
@@ -191,13 +192,29 @@ class PhotometricObservations(EvaluatedObservations):
         part = replace(camera, w=self.fine * (d - c), h=self.fine * (b - a), cx=camera.cx - x, cy=camera.cy - y)
         return View.of(part, self.field.points.dtype)
 
+    def _behind(self, window: Sequence[int]) -> Float[Tensor, "H W 3"]:
+        """The background of a window, in rendered pixels."""
+        a, b, c, d = window
+        behind = self.background[a:b, c:d].repeat(self.fine, axis=0).repeat(self.fine, axis=1)
+        return torch.as_tensor(behind).to(self.field.points)
+
+    def rendered(self, points: Float[Tensor, "N K 3"], window: Sequence[int]) -> Float[Tensor, "h w 3"]:
+        """A window of the image as it is compared, but for the blur; differentiable by the moved points [m]."""
+        view = self._view(window)
+        return self._rendered(self.field_at(points, view.position), view, self._behind(window))
+
+    def _rendered(self, field: ConvexField, view: View, background: Tensor) -> Float[Tensor, "h w 3"]:
+        image = render(field, view, background=background).colour
+        height, width, fine = image.shape[0] // self.fine, image.shape[1] // self.fine, self.fine
+        return image.reshape(height, fine, width, fine, 3).mean(dim=(1, 3))
+
     def _drawn_at(self, images: Float[np.ndarray, "C H W"]) -> Float[np.ndarray, "C h w"]:
         """Rendered channels as they are compared: averaged over areas."""
         count, height, width = images.shape
         parts = images.reshape(count, height // self.fine, self.fine, width // self.fine, self.fine)
         return np.asarray(parts.mean(axis=(2, 4)))
 
-    def _blurred(self, image: np.ndarray) -> np.ndarray:
+    def blurred(self, image: np.ndarray) -> np.ndarray:
         """A window [h, w, ...], blurred; the border repeats."""
         if not self.blur or not image.size:
             return image
@@ -211,12 +228,12 @@ class PhotometricObservations(EvaluatedObservations):
     def _evaluate(self, positions: np.ndarray, tangents: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         count = 0 if tangents is None else tangents.shape[1]
         residuals, jacobian = [], []
-        for frame in np.flatnonzero(self._sizes):
+        for frame in np.flatnonzero(self.sizes):
             window = self.windows[frame]
             rows = slice(window[0], window[1]), slice(window[2], window[3])
             drawn, slopes = self._drawn(positions[frame], None if tangents is None else tangents[frame], window)
-            seen = self._blurred(self.images[frame][rows])
-            value, slopes = self._balanced(seen, self._blurred(drawn), self._blurred(slopes), self.background[rows])
+            seen = self.blurred(self.images[frame][rows])
+            value, slopes = self._balanced(seen, self.blurred(drawn), self.blurred(slopes), self.background[rows])
             residuals.append(value.ravel() / self.sigma)
             jacobian.append(slopes.reshape(value.size, count) / self.sigma)
         return np.concatenate(residuals), np.concatenate(jacobian)
@@ -227,13 +244,10 @@ class PhotometricObservations(EvaluatedObservations):
         """A window as rendered, and its derivatives."""
         view, kind = self._view(window), self.field.points
         a, b, c, d = window
-        moved = torch.as_tensor(points).to(kind).reshape(kind.shape)
-        behind = self.background[a:b, c:d].repeat(self.fine, axis=0).repeat(self.fine, axis=1)
-        background = torch.as_tensor(behind).to(kind)
+        moved, background = torch.as_tensor(points).to(kind).reshape(kind.shape), self._behind(window)
         with torch.no_grad():
             field = self.field_at(moved, view.position)
-            drawn = self._drawn_at(render(field, view, background=background).colour.permute(2, 0, 1).numpy())
-        drawn = drawn.transpose(1, 2, 0)
+            drawn = self._rendered(field, view, background).numpy()
         if tangents is None or not len(tangents):
             return drawn, np.zeros((*drawn.shape, 0), dtype=drawn.dtype)
         # moves of the size of a pixel, so that single precision does not lose small derivatives

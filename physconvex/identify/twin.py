@@ -296,8 +296,8 @@ def enriched(twin: Twin, nodes: Float[np.ndarray, "T V 3"]) -> Twin:
 def with_weights(twin: Twin, weights: WeightField) -> Twin:
     """The twin with other skinning weights, starting at rest; everything else stays."""
     interpolated = twin.clamp is not None and isinstance(weights, NodalWeights)  # as `base_twin` does
-    samples = BodySamples.of_mesh(twin.mesh)
-    return with_body(twin, twin.scene.body.with_space(ReducedSpace(weights, samples, interpolated=interpolated)))
+    body = twin.scene.body
+    return with_body(twin, body.with_space(ReducedSpace(weights, body.space.samples, interpolated=interpolated)))
 
 
 def with_body(twin: Twin, body: ReducedBody) -> Twin:

@@ -141,6 +141,19 @@ def test_the_convex_twin_alone_tells_the_material_from_the_pixels(folder, tmp_pa
 
 
 @pytest.mark.slow
+def test_the_network_of_the_weights_is_fitted_to_the_pixels(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("inference.refinement.convex_stage._LEVELS", (24,))
+    start = {"log10_youngs_modulus": 4.4, "poisson_ratio": 0.35}
+    options = RefineOptions(initial=start, **FEW, stop_after="convex", basis="neural", fit_weights=1)
+    stages = []
+    found = refine(folder, out=tmp_path, options=options, on_stage=lambda *stage: stages.append(stage))
+    assert [name for name, _ in stages[-4:]] == ["convex_24", "convex_weights_0", "convex_turn_0", "motion"]
+    assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.3)
+    with pytest.raises(InputError, match="fit_weights: got 1 with basis 'elastic'; expected basis 'neural'"):
+        RefineOptions(fit_weights=1)
+
+
+@pytest.mark.slow
 def test_markers_and_videos_are_fitted_together(motion, tmp_path):
     some, states, rng = slice(None, None, 40), motion[::FINER], np.random.default_rng(0)
     seen = states[:, some] + rng.normal(scale=1e-3, size=states[:, some].shape)
