@@ -114,7 +114,9 @@ class PaperOptions(Options):
     model_error: bool = True
     """Fit a finer model too; its difference corrects the estimates and widens the intervals."""
     adam_steps: int = 400
-    """Steps of Adam in the method of the paper; 0 leaves it out."""
+    """Steps of Adam in the method of the paper; 0 leaves it and its variants out."""
+    adam_scale: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Share of the images' resolution at which the method of the paper compares pixels."""
     ablation: tuple[int, ...] = (8, 10, 12)
     """Number M of skinning weights in the ablation with K = 4 and K = 6; 0 leaves it out; repeatable."""
     ablation_points: Annotated[tuple[int, ...], CommandLine("--points")] = (3, 4, 5, 6, 7, 8)

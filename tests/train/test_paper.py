@@ -12,6 +12,7 @@ from physconvex import InputError
 from physconvex.io import load_capture, read_mesh
 from train import PaperOptions, evaluate_paper
 from train.paper import published
+from train.paper.published_way import WAYS
 from train.paper.rows import ObjectRow
 from train.paper.tables import markdown, summary
 
@@ -181,7 +182,7 @@ def test_an_object_is_evaluated_part_by_part(benchmark, evaluated):
     options, (out, done, _) = SMALL, evaluated
     parts = []
     (found,) = evaluate_paper(benchmark, out, options, on_part=lambda *names: parts.append(names[1]))
-    every = [*MAIN, "published_way", "reconstruction_K3", "convex_K3_M10"]
+    every = [*MAIN, *WAYS, "reconstruction_K3", "convex_K3_M10"]
     assert [part for _, part in done] + parts == every  # it goes on where it was left
     assert not [part for part in found.parts.values() if "failure" in part]
     for part in ("corrected", "given_mesh"):
@@ -194,7 +195,7 @@ def test_an_object_is_evaluated_part_by_part(benchmark, evaluated):
     assert set(found.parts["convex_K3_M10"]["pictures"]["future"]) == {"front"}
     assert "drift" in found.parts["followed"]
     assert set(found.parts["corrected"]["changes"]) == {"softer", "pushed", "moving_floor"}
-    assert found.parts["published_way"]["steps"] == 3
+    assert found.parts["published_way"]["steps"] == len(found.parts["published_way"]["losses"]) == 3
     assert "| 3 | 10 | 1 | " in markdown([found], "One object.")
     again = []
     evaluate_paper(benchmark, out, options, on_part=lambda *names: again.append(names))

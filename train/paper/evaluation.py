@@ -10,6 +10,7 @@ import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import cast
@@ -27,7 +28,7 @@ from physconvex.io import Camera, Capture, load_capture, read_mesh
 from physconvex.mesh import Embedding, TetMesh
 from train.options import PaperOptions
 from train.paper.pictures import score_pictures
-from train.paper.published_way import NAMES, fit_as_published
+from train.paper.published_way import NAMES, WAYS, PublishedFit, PublishedOptions, fit_as_published
 from train.paper.rows import Change, ObjectRow, PaperPart, PictureScores
 
 CONSTANT = (5.5, 0.345)  # the middle of the ranges 1e4 to 1e7 Pa and .2 to .49
@@ -80,7 +81,7 @@ def evaluate_paper(
 def _claim(file: Path, options: PaperOptions) -> None:
     """Write the settings that results depend on; the choice of parts may differ in every run."""
     settings = options.to_json()
-    for choice in ("ablation", "ablation_points", *(() if options.adam_steps else ("adam_steps",))):
+    for choice in ("ablation", "ablation_points", *(() if options.adam_steps else ("adam_steps", "adam_scale"))):
         del settings[choice]
     held = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
     others = [name for name, value in settings.items() if held.get(name, value) != value]
@@ -131,7 +132,9 @@ class _Object:
 
     def _comparisons(self) -> list[tuple[str, Callable[[], PaperPart]]]:
         options = self.options
-        parts = [("published_way", self._published_way)] if options.adam_steps else []
+        parts: list[tuple[str, Callable[[], PaperPart]]] = []
+        if options.adam_steps:
+            parts += [(way, partial(self._published_way, way)) for way in WAYS]
         for points in dict.fromkeys(points for points, _ in options.pairs if points != POINTS):
             parts.append((f"reconstruction_K{points}", partial(self._reconstruction, points)))
         return parts + [(f"convex_K{k}_M{m}", partial(self._convex_twin, k, m)) for k, m in options.pairs]
@@ -277,15 +280,28 @@ class _Object:
         found = refine(self.capture.folder, out=self._folder(points), options=settings)
         return self._fitted(found, self.cameras[:1])
 
-    def _published_way(self) -> PaperPart:
+    def _published_way(self, way: str) -> PaperPart:
+        """From the network's prediction; perhaps with this project's time steps or optimiser in place of theirs."""
         network = self.row.parts["network"]
         start = np.array(network["values"] if "values" in network else CONSTANT)
-        found = fit_as_published(self._body, start, steps=self.options.adam_steps, max_nodes=self.options.max_nodes)
+        chosen, options = PublishedOptions.of_way(way), self.options
+        settings = replace(chosen, steps=options.adam_steps, scale=options.adam_scale, max_nodes=options.max_nodes)
+        found = fit_as_published(self._body, self._field, start, options=settings, out=self.work / way)
         out = self._errors(found.values)
-        out["misfit"], out["steps"] = found.misfit, found.steps
+        out["losses"], out["steps"] = found.losses.tolist(), len(found.losses)
         with self._scoring():
-            out |= self._motion(found.twin.mesh, found.nodes, self._field, self.cameras)
+            out |= self._convexes(found)
         return out
+
+    def _convexes(self, found: PublishedFit) -> PaperPart:
+        """Distance of the surface from the truth; scores of the pictures of the convexes, which are the body."""
+        with np.load(self.truth / "points.npz") as arrays:
+            gaps = found.trajectory.positions(arrays["rest"]) - arrays["positions"]
+        return PaperPart(
+            rms_m=np.sqrt(np.square(gaps).sum(-1).mean(-1)).tolist(),
+            convexes=len(found.field),
+            pictures=self._pictures(found.fields, self.cameras),
+        )
 
     # -- scores
 
@@ -313,16 +329,22 @@ class _Object:
             gaps = Embedding.of_points(mesh, arrays["rest"]).apply(nodes) - arrays["positions"]
         out = PaperPart(rms_m=np.sqrt(np.square(gaps).sum(-1).mean(-1)).tolist())
         if field is not None:
-            seen = self.capture.observed_frames
-            parts = {"observed": range(0, seen), "future": range(seen, self.capture.frames)}
             bound = bind_to_tets(field, mesh)
             out["convexes"] = len(field)
-            out["pictures"] = {
-                label: score_pictures([bound.at(nodes[t]) for t in frames], cameras, self.truth, frames)
-                for label, frames in parts.items()
-                if len(frames)
-            }
+            out["pictures"] = self._pictures(lambda frames: [bound.at(nodes[t]) for t in frames], cameras)
         return out
+
+    def _pictures(
+        self, moved: Callable[[range], list[ConvexField]], cameras: Sequence[Camera]
+    ) -> dict[str, dict[str, PictureScores]]:
+        """Scores of a moved field, observed and future."""
+        seen = self.capture.observed_frames
+        parts = {"observed": range(0, seen), "future": range(seen, self.capture.frames)}
+        return {
+            label: score_pictures(moved(frames), cameras, self.truth, frames)
+            for label, frames in parts.items()
+            if len(frames)
+        }
 
     def _changes(self, found: Refinement) -> dict[str, Change]:
         """Rms distance [m] from the truth under the same change, and the distance that the change moves the truth."""

@@ -47,7 +47,7 @@ class PaperPart(TypedDict, total=False):
     errors: list[float]
     intervals_90: list[list[float] | None]
     covered: list[bool | None]
-    misfit: float
+    losses: list[float]
     steps: int
     in_words: list[str]
     reduced_model_rms_m: list[float]

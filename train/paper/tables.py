@@ -19,12 +19,16 @@ from train.paper.published import (
     POISSON_ERRORS,
     PublishedMeans,
 )
+from train.paper.published_way import WAYS
 from train.paper.rows import ObjectRow, PaperPart
 
 _WAYS = {
     "constant": "constant guess",
     "network": "network alone",
     "published_way": "published way, run here",
+    "published_own_steps": "the same, our time steps",
+    "published_own_optimiser": "the same, our optimiser",
+    "published_own_both": "the same, our steps and optimiser",
     "convex_twin": "convex twin",
     "corrected": "corrected",
     "given_mesh": "corrected, given mesh",
@@ -33,7 +37,7 @@ _ABLATED = re.compile(r"convex_K(\d+)_M(\d+)")
 _SCORES = {"psnr": ".2f", "ssim": ".4f", "psnr_object": ".2f", "fovvdp": ".2f"}
 _PRINTED = ("psnr", "ssim", "fovvdp")  # by the paper
 _FOLLOWED, _ITSELF, _RECONSTRUCTION = "followed", "truth_itself", "reconstruction"
-_FROM_IMAGES = ("published_way", "convex_twin", "corrected")  # their time includes the reconstruction
+_FROM_IMAGES = (*WAYS, "convex_twin", "corrected")  # their time includes the reconstruction
 PUBLISHED = (
     "*Published*: printed in the paper (arXiv 2602.18886), on its authors' own objects, simulations and views, on one "
     "NVIDIA RTX A6000; E in decades. These rows cannot be compared one by one with those above them."
