@@ -30,7 +30,7 @@ PREDICTION_UNITS: dict[str, str] = {
 
 @runtime_checkable
 class Weights(Protocol):
-    """Skinning weights of one object (`models.skinning.SkinningField`, which can do more)."""
+    """Skinning weights of one object (`physconvex.reduced.SkinningField`, which can do more)."""
 
     def __call__(self, points: Float[np.ndarray, "Q 3"]) -> Float32[np.ndarray, "Q M"]:
         """Return the weights of M handles at points [m] of the object frame."""

@@ -24,6 +24,7 @@ _PLACES = {
     "drop_height": "object.drop_height",
     "orientation": "object.orientation_deg",
     "basis": "basis.kind",
+    "basis_file": "basis.file",
     "modes": "basis.modes",
     "frames": "time.frames",
     "fps": "time.fps",
@@ -53,7 +54,9 @@ class SimulateOptions(Options):
     orientation: tuple[float, float, float] | None = None
     """Initial rotations about x, then y, then z [degrees]."""
     basis: str | None = None
-    """Kind of skinning weights: eigenmodes, elastic or neural."""
+    """Kind of skinning weights: eigenmodes, elastic, neural or predicted."""
+    basis_file: str | None = None
+    """Predicted weights: clips/NAME.skinning.safetensors of `physconvex predict`."""
     modes: int | None = None
     """Number of skinning weights, without the constant one."""
     frames: int | None = None

@@ -63,7 +63,6 @@ from .segmenter import (
     pad_pictures as pad_pictures,
 )
 from .silhouette import MOMENT_NAMES as MOMENT_NAMES, silhouette_moments as silhouette_moments
-from .skinning import SkinningField as SkinningField
 from .skinning_energy import (
     captured_energy as captured_energy,
     captured_energy_loss as captured_energy_loss,

@@ -19,8 +19,8 @@ from models.heads import BinnedDensity
 from models.mirror import answer_both_ways
 from models.network import ClipBatch, PhysicsNetwork
 from models.scaling import dimensionless_interval, log10_youngs_modulus
-from models.skinning import SkinningField
 from physconvex import InputError
+from physconvex.reduced import SkinningField
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -138,7 +138,7 @@ class PhysicsPredictor:
         log_e = _summary(stiffness, *calibration.stiffness.interval(stiffness))
         nu = _summary(poisson, *calibration.poisson.interval(poisson))
         head = self.network.skinning_head
-        fields = SkinningField.from_head(head, output.latent, [float(size) for size in sizes])
+        fields = head.fields(output.latent, [float(size) for size in sizes])
         return [
             _estimate(log_e[k], float(offset[k]), nu[k], fields[k], self._warnings(intervals[k], log_e[k]))
             for k in range(len(clips))

@@ -21,7 +21,7 @@ Split = Literal["train", "validation", "test"]
 
 @dataclass(frozen=True, eq=False)
 class ClipSamples:
-    """Points of one simulation, in the object frame of a view (`models.skinning`), lengths over its size."""
+    """Points of one simulation in the object frame (`physconvex.reduced.SkinningField`), lengths over its size."""
 
     points: Float32[np.ndarray, "Q 3"]
     volume_weights: Float32[np.ndarray, " Q"]

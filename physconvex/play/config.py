@@ -109,18 +109,29 @@ class BasisConfig(FrozenConfig):
 
     Attributes:
         kind: `elastic` weights come from vibrations and responses to contact forces, which two simulations locate; with
-            thirty to sixty of them the error is smallest.
-        modes: number M of weights; `seed`: of the neural field.
+            thirty to sixty of them the error is smallest. `predicted` weights are a network's, from `file`.
+        file: skinning weights that `physconvex predict` writes (`clips/NAME.skinning.safetensors`). Their frame is the
+            file of the asset, with the origin in the centre of its bounding box; they grow and turn with the object.
+        modes: number M of weights, unless a file has them; `seed`: of the neural field.
         max_nodes: most nodes of the background mesh; `mesher`: its method.
         contact_points: most vertices of the surface that can touch the floor.
     """
 
-    kind: Literal["eigenmodes", "elastic", "neural"] = "eigenmodes"
+    kind: Literal["eigenmodes", "elastic", "neural", "predicted"] = "eigenmodes"
+    file: str | None = None
     modes: int = Field(default=10, ge=1, le=64)
     seed: int = Field(default=0, ge=0)
     max_nodes: int = Field(default=500, ge=20)
     contact_points: int = Field(default=2000, ge=10)
     mesher: Literal["auto", "lattice", "ftetwild"] = "auto"
+
+    @model_validator(mode="after")
+    def check(self) -> BasisConfig:
+        if self.kind == "predicted" and self.file is None:
+            raise ValueError("file is missing, which predicted weights need: clips/NAME.skinning.safetensors")
+        if self.kind != "predicted" and self.file is not None:
+            raise ValueError(f"file is given, but the kind is {self.kind!r}; expected 'predicted'")
+        return self
 
 
 class TimeConfig(FrozenConfig):

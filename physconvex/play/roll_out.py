@@ -34,10 +34,12 @@ from physconvex.reduced import (
     ReducedSpace,
     ReducedTrajectory,
     Shell,
+    SkinningField,
     WeightField,
     eigenmode_weights,
     elastic_weights,
     even_loads,
+    predicted_weights,
     train_neural_weights,
     with_elastic_weights,
 )
@@ -186,13 +188,28 @@ def _prepare(asset: Asset, config: PlayConfig, ground: float, *, alone: bool) ->
     closed = enclosed_volume(skin.vertices, skin.faces) is not None
     shell = Shell(skin.vertices, skin.faces) if closed else samples.shell
     samples = replace(samples, surface_points=points, surface_areas=areas, shell=shell)
-    return _Prepared(placed, convexes, _scene(config, mesh, samples, alone=alone))
+    predicted = None if config.basis.file is None else _predicted(config.basis.file, asset.surface, linear, shift)
+    weights = predicted or _weights(config, mesh, samples, alone=alone)
+    return _Prepared(placed, convexes, _scene(config, mesh, samples, weights, alone=alone))
 
 
-def _scene(config: PlayConfig, mesh: TetMesh, samples: BodySamples, *, alone: bool) -> ReducedScene:
+def _predicted(file: str, surface: RestSurface, linear: np.ndarray, shift: np.ndarray) -> WeightField:
+    """A network's weights on the placed body, x = linear X + shift of the surface as in its file."""
+    field, low, high = SkinningField.load(file), surface.vertices.min(0), surface.vertices.max(0)
+    stretch = np.cbrt(np.linalg.det(linear))
+    return predicted_weights(
+        field,
+        origin=linear @ (0.5 * (low + high)) + shift,
+        rotation=linear / stretch,
+        scale=stretch * float((high - low).max()) / field.object_size,
+    )
+
+
+def _scene(
+    config: PlayConfig, mesh: TetMesh, samples: BodySamples, weights: WeightField, *, alone: bool
+) -> ReducedScene:
     """The body with its skinning weights, and its scene."""
     basis, material, forces = config.basis, config.material, config.forces
-    weights = _weights(config, mesh, samples, alone=alone)
     body = ReducedBody(
         ReducedSpace(weights, samples, interpolated=basis.kind == "elastic" and not alone),
         law=_law(material),

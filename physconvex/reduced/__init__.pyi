@@ -45,5 +45,6 @@ from .scene_weights import (
     with_elastic_weights as with_elastic_weights,
 )
 from .sensitivity import NamedParameters as NamedParameters
+from .skinning_field import SkinningField as SkinningField, fourier_network as fourier_network
 from .space import ReducedSpace as ReducedSpace
 from .trajectory import BodiesTrajectory as BodiesTrajectory, ReducedTrajectory as ReducedTrajectory

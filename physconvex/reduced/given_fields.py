@@ -90,6 +90,7 @@ def predicted_weights(
     *,
     origin: Sequence[float] | Float[np.ndarray, " 3"] = (0.0, 0.0, 0.0),
     rotation: Float[np.ndarray, "3 3"] | None = None,
+    scale: float = 1.0,
 ) -> ArrayWeights:
     """Weights of a field with its own frame, for example one that the network predicts.
 
@@ -98,18 +99,21 @@ def predicted_weights(
         origin: position of the frame's origin in the rest body [m]; for a predicted field the centre of the rest
             bounding box.
         rotation: maps vectors of the frame to vectors of the rest body, shape [3, 3]; the identity unless given.
+        scale: size of the rest body over that of the object that the field is of.
 
     Raises:
-        InputError: `rotation` is not a rotation.
+        InputError: `rotation` is not a rotation, or `scale` is not positive.
     """
     turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
     if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
         raise InputError(f"rotation: got {rotation!r}; expected a rotation matrix, shape [3, 3]")
-    start = np.asarray(origin, dtype=np.float64)
+    if not (np.isfinite(scale) and scale > 0):
+        raise InputError(f"scale: got {scale}; expected a positive ratio of sizes")
+    start, inverse = np.asarray(origin, dtype=np.float64), turn / scale  # X in the frame = (x − origin) @ inverse
     return ArrayWeights(
-        lambda points: field((points - start) @ turn),
+        lambda points: field((points - start) @ inverse),
         field.handles,
-        gradient=lambda points: np.asarray(field.gradient((points - start) @ turn), dtype=np.float64) @ turn.T,
+        gradient=lambda points: np.asarray(field.gradient((points - start) @ inverse), dtype=np.float64) @ inverse.T,
     )
 
 

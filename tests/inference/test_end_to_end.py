@@ -11,8 +11,9 @@ from typer.testing import CliRunner
 
 from inference import iter_predictions, predict, predict_batch
 from inference.commands import predict_command as predict_command
-from models import EncoderConfig, NetworkConfig, PhysicsPredictor, SkinningField
+from models import EncoderConfig, NetworkConfig, PhysicsPredictor
 from physconvex import InputError
+from physconvex.reduced import SkinningField
 from tests.inference.conftest import MakeClip
 
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from models import SkinningField, captured_energy, captured_energy_loss, random_basis, span_loss
+from models import captured_energy, captured_energy_loss, random_basis, span_loss
 from models.config import SkinningConfig
 from models.skinning import SkinningHead
 from physconvex import InputError
+from physconvex.reduced import SkinningField
 
 
 @pytest.fixture
@@ -109,7 +110,7 @@ def test_span_loss_can_be_learnt(body: tuple[np.ndarray, np.ndarray]) -> None:
 def field() -> tuple[SkinningHead, torch.Tensor, SkinningField]:
     head, latent = SkinningHead(8, SkinningConfig()), torch.randn(2, 8)
     with torch.no_grad():
-        return head, latent, SkinningField.from_head(head, latent, [0.4, 1.7])[1]
+        return head, latent, head.fields(latent, [0.4, 1.7])[1]
 
 
 def test_frozen_field_is_the_head(field: tuple[SkinningHead, torch.Tensor, SkinningField]) -> None:

@@ -13,6 +13,7 @@ from physconvex import InputError, simulate
 from physconvex.io import read_video
 from physconvex.io.configuration import preset_names
 from physconvex.play import PlayConfig, load_play_config, play, read_surface
+from physconvex.reduced import SkinningField, predicted_weights
 
 QUICK = ["basis.max_nodes=150", "basis.modes=2", "time.frames=3", "time.steps_per_frame=4", "basis.mesher=lattice"]
 
@@ -161,3 +162,54 @@ def test_bad_input_names_what_is_wrong(ball, tmp_path):
 def test_settings_that_are_no_list_are_refused(ball):
     with pytest.raises(InputError, match=r"settings: got {'material.density': 500}"):
         simulate(ball, settings={"material.density": 500})
+
+
+@pytest.fixture
+def field(tmp_path) -> SkinningField:
+    """Three weights of a network of one hidden layer, stored for an object of 0.4 m."""
+    shapes = {"weight_0": (8, 9), "bias_0": (8,), "weight_1": (3, 8), "bias_1": (3,)}
+    rng = np.random.default_rng(4)
+    tensors = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+    made = SkinningField(tensors, object_size=0.4, harmonics=1)
+    made.save(tmp_path / "toy.skinning.safetensors")
+    return made
+
+
+def test_predicted_weights_move_the_body_in_its_own_frame(field, tmp_path):
+    """A bar of 0.2 m stands up on one end at twice its size: its points have the weights of the points in the file."""
+    bar, file = trimesh.creation.box((0.2, 0.1, 0.05)), str(tmp_path / "toy.skinning.safetensors")
+    bar.apply_translation((3.0, 0.0, 1.0))
+    bar.export(tmp_path / "bar.obj")
+    place = ["object.size=0.4", "object.orientation_deg=[0,-90,0]", "object.drop_height=0.1"]
+    given = ["--basis", "predicted", "--basis-file", file]
+    told = [part for s in [*QUICK, *place] for part in ("--set", s)]
+    result = invoke(str(tmp_path / "bar.obj"), "--out", str(tmp_path / "out"), "--json", *given, *told)
+    assert result.exit_code == 0, result.output
+    chosen = ["basis.kind=predicted", f"basis.file={file}"]
+    run = simulate(tmp_path / "bar.obj", settings=[*QUICK, *place, *chosen], out=None).trajectory
+    with np.load(tmp_path / "out" / "trajectory.npz") as arrays:
+        assert arrays["handles"].shape == (3, 4, 3, 4)  # M of the file, not of the settings
+        np.testing.assert_allclose(arrays["handles"], run.handles(), atol=1e-6)
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (9, 3)) * [0.4, 0.2, 0.1]
+    turn = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])  # by -90 degrees about y
+    placed = points @ turn.T + [0, 0, 0.1 + 0.2]
+    expected = predicted_weights(field, origin=(0, 0, 0.3), rotation=turn)
+    values, gradients = run.space.field.at(placed)
+    np.testing.assert_allclose(values, field(points), atol=1e-5)
+    np.testing.assert_allclose(gradients, expected.at(placed)[1], atol=1e-4)
+
+
+def test_a_file_of_weights_that_is_missing_or_foreign_is_named(ball, field, tmp_path):
+    other = tmp_path / "other.safetensors"
+    other.write_text("no weights")
+    cases = {
+        "file is missing, which predicted weights need": ["--basis", "predicted"],
+        "'predicted'": ["--basis-file", str(other)],
+        "no skinning field at": ["--basis", "predicted", "--basis-file", str(tmp_path / "absent")],
+        "other.safetensors' is no safetensors file": ["--basis", "predicted", "--basis-file", str(other)],
+    }
+    for pattern, arguments in cases.items():
+        result = invoke(ball, "--out", str(tmp_path / "none"), *arguments)
+        assert isinstance(result.exception, InputError), (pattern, result.exception)
+        with pytest.raises(InputError, match=pattern):
+            raise result.exception

@@ -66,16 +66,21 @@ def test_a_predicted_field_is_turned_and_shifted_with_its_gradients():
     np.testing.assert_allclose(field.at(inside @ turn.T + origin)[0], WavyField()(inside), atol=1e-7)
     # float32 values: rounding 6e-8 over the step
     np.testing.assert_allclose(gradients, by_differences(field, points, 1e-3), atol=1e-3)
+    larger = predicted_weights(WavyField(), origin=origin, rotation=turn, scale=2.0)
+    found = larger.at(2 * (points - origin) + origin)
+    np.testing.assert_allclose(found[0], values, atol=1e-7)
+    np.testing.assert_allclose(found[1], gradients / 2, atol=1e-6)
+    with pytest.raises(InputError, match="scale: got 0"):
+        predicted_weights(WavyField(), scale=0.0)
 
 
 def test_the_field_of_the_network_moves_a_body():
     """Float32 values and gradients of a skinning head become a space in float64 that holds affine motions."""
-    from models import SkinningField
     from models.config import SkinningConfig
     from models.skinning import SkinningHead
 
     head = SkinningHead(4, SkinningConfig(handles=3))
-    (network,) = SkinningField.from_head(head, torch.ones(1, 4), [0.3])
+    (network,) = head.fields(torch.ones(1, 4), [0.3])
     field = predicted_weights(network, origin=(0.15, 0.1, 0.05))
     points = inner_points()
     np.testing.assert_allclose(field.at(points)[0], network(points - [0.15, 0.1, 0.05]), atol=1e-7)

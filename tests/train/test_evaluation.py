@@ -9,8 +9,9 @@ import pytest
 from PIL import Image
 
 import train.held_out
-from models import ClipEstimate, PhysicsPredictor, PreparedClip, SkinningField
+from models import ClipEstimate, PhysicsPredictor, PreparedClip
 from physconvex import InputError
+from physconvex.reduced import SkinningField
 from train import TrainConfig, read_clips
 from train.held_out import held_out
 from train.options import EvaluationOptions
