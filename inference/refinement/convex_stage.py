@@ -20,6 +20,7 @@ from physconvex.identify import (
     FitOptions,
     PhotometricObservations,
     RigidDriftObservations,
+    SecantModel,
     StackedObservations,
     Twin,
     convex_twin,
@@ -28,17 +29,17 @@ from physconvex.identify import (
     fit_weights,
     misfit_of,
     skinning_weights,
+    step_scales,
     with_weights,
 )
 from physconvex.io import Camera
 from physconvex.reduced import NeuralWeights, NodalWeights, PredictedField, WeightField, predicted_weights
 
 CONVEX = "convex twin"
-_LEVELS = (24, 48, 96)  # compared pixels across the object, coarse to fine
+# compared pixels across the object, coarse to fine
+_LEVELS = {pixels: FitOptions(max_iterations=n, relative_tolerance=1e-3) for pixels, n in ((24, 8), (48, 5), (96, 4))}
 _DRAWN = 0.01  # least opacity of a convex that is drawn
-_OPTIONS = tuple(FitOptions(max_iterations=n, relative_tolerance=1e-3) for n in (6, 4, 3))
-_DRIFT = 0.05  # of the speed at the first contact: deviation of each frame's change of velocity
-_DRIFT_TURNS = 2
+_DRIFTS = (0.03, 0.1, 0.3)  # of the speed at the contact: deviations of each later frame's change of velocity
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,32 +88,37 @@ def _fitted(
                 "add CAMERA_mask.mp4 beside CAMERA.mp4, and leave the field on"
             )
         return None
-    twin = _twin(run, problem, start, rest.field)
     drawn = rest.field.select(rest.field.opacity > _DRAWN)
-    problem, found = _drifting(run, replace(problem, twin=twin), start), start
-    for number, pixels in enumerate(_LEVELS):
-        problem = _seen_in(replace(problem, observed=_photometric(run, cameras, drawn, pixels)), found)
-        if number == 0 and len(candidates) > 1:
-            found = _nearest(run, problem, found, candidates)
-        found = run.fit(f"convex_{pixels}", problem.parameters, partial(_search, problem, found, _OPTIONS[number]))
+    problem, found = _begun(run, replace(problem, twin=_twin(run, problem, start, rest.field)), start, candidates)
+    followed = problem.observed
+    for pixels, options in _LEVELS.items():
+        problem = replace(problem, observed=_beside(followed, _photometric(run, cameras, drawn, pixels)))
+        problem = _seen_in(problem, found)
+        found = run.fit(f"convex_{pixels}", problem.parameters, partial(_search, problem, found, options))
     for turn in range(run.options.fit_weights):
         problem = _with_fitted_weights(run, problem, found, f"convex_weights_{turn}")
-        found = run.fit(f"convex_turn_{turn}", problem.parameters, partial(_search, problem, found, _OPTIONS[-1]))
+        found = run.fit(f"convex_turn_{turn}", problem.parameters, partial(_search, problem, found, _LEVELS[96]))
     return ConvexFit(problem, found)
 
 
 def _with_fitted_weights(run: RefinementRun, problem: Problem, found: Fit, stage: str) -> Problem:
     """The problem with the network of its weights fitted to the images, at the values and the drift of a fit."""
     twin, weights = problem.twin.with_values(found.names, found.values), problem.twin.scene.body.space.field
-    parts = [p for p in problem.observed.observations.parts if isinstance(p, PhotometricObservations)]
+    stack = problem.observed.observations
+    drawn = [
+        (part, where)
+        for part, where in zip(stack.parts, stack.point_slices, strict=True)
+        if isinstance(part, PhotometricObservations)
+    ]
     assert isinstance(weights, NeuralWeights)
 
     def compute() -> Arrays:
         seen = problem.seen
         shift = None
         if isinstance(seen, RigidDriftObservations):
-            shift = seen.drift(problem.reduced().positions(found.values))
-        fitted = fit_weights(twin, parts, shift=shift).twin.scene.body.space.field
+            drift = seen.drift(problem.reduced().positions(found.values))
+            shift = np.concatenate([drift[:, where] for _, where in drawn], axis=1)
+        fitted = fit_weights(twin, [part for part, _ in drawn], shift=shift).twin.scene.body.space.field
         assert isinstance(fitted, NeuralWeights)
         return {"theta": fitted.theta.numpy()}
 
@@ -120,40 +126,81 @@ def _with_fitted_weights(run: RefinementRun, problem: Problem, found: Fit, stage
     return replace(problem, twin=with_weights(problem.twin, weights.with_theta(theta)))
 
 
+def _begun(run: RefinementRun, problem: Problem, start: Fit, candidates: Sequence[np.ndarray]) -> tuple[Problem, Fit]:
+    """The problem with its likely drift after the rebound, and the most likely of the candidates.
+
+    Followed points and outlines decide, since pixels see only near motions. A model of few weights rebounds otherwise
+    than the body, by a part of the speed at the contact.
+    """
+    found = run.stages.run("convex_start", lambda: _started(run, problem, candidates))
+    values = candidates[int(found["best"])]
+    drift = tuple(found["drift"].tolist())
+    if drift:
+        problem = replace(problem, drift=drift[1], drift_limit=(int(drift[0]), drift[1]))
+    return problem, start if values is start.values else replace(start, values=values)
+
+
+def _started(run: RefinementRun, problem: Problem, candidates: Sequence[np.ndarray]) -> Arrays:
+    trials = run.workers.map(partial(_likelihoods, problem, run.options.drift), candidates)
+    best = int(np.argmax([max(likelihoods) for likelihoods, _ in trials]))
+    likelihoods, drifts = trials[best]
+    if not np.isfinite(likelihoods).any():
+        raise ConvergenceError("convex twin: the body cannot be simulated at any start")
+    drift = drifts[int(np.argmax(likelihoods))]
+    return {"best": np.array(best), "drift": np.array([] if drift is None else drift)}
+
+
+def _likelihoods(
+    problem: Problem, drifts: bool, values: np.ndarray
+) -> tuple[list[float], list[tuple[int, float] | None]]:
+    """Log-likelihood of values without drift, and with drifts of several sizes; those drifts."""
+    model, twin = problem.reduced(), problem.twin
+    try:
+        points = twin.scene.body.space.samples.surface_points if twin.may_strike else np.zeros((0, 3))
+        both = replace(model, points=np.concatenate([model.points, points])).positions(values)
+    except ConvergenceError:
+        return [-np.inf], [None]
+    positions, moved = both[:, : len(model.points)], both[:, len(model.points) :]
+    likelihoods: list[float] = [-misfit_of(problem.seen, positions)]
+    sizes: list[tuple[int, float] | None] = [None]
+    if not drifts or not twin.may_strike:
+        return likelihoods, sizes
+    begin = first_contact(moved, twin.scene.obstacles, np.arange(len(moved)) / twin.fps, twin.scene.gravity)
+    if begin is None or begin >= len(moved):
+        return likelihoods, sizes
+    speed = twin.fps * float(np.linalg.norm((moved[begin] - moved[begin - 1]).mean(axis=0)))
+    for share in _DRIFTS:
+        one = RigidDriftObservations(problem.undrifted, begin, 1 / twin.fps, share * speed)
+        likelihoods.append(one.log_likelihood(positions))
+        sizes.append((begin, share * speed))
+    return likelihoods, sizes
+
+
+def _beside(followed: Observed, pixels: Observed) -> Observed:
+    """Followed points and outlines, and the pixels."""
+    stack = StackedObservations.of([followed.observations, pixels.observations])
+    return replace(pixels, observations=stack, sources=(*followed.sources, *pixels.sources))
+
+
 def _seen_in(problem: Problem, found: Fit) -> Problem:
     """The problem with the convexes alone that show in the motion of a fit."""
     stack = problem.observed.observations
     moved = replace(problem.reduced(), points=stack.points).positions(found.values)
-    parts = []
-    for part, where in zip(stack.parts, stack.point_slices, strict=True):
-        assert isinstance(part, PhotometricObservations)
-        parts.append(part.visible_in(moved[:, where]))
+    pairs = zip(stack.parts, stack.point_slices, strict=True)
+    parts = [
+        part.visible_in(moved[:, where]) if isinstance(part, PhotometricObservations) else part for part, where in pairs
+    ]
     return replace(problem, observed=replace(problem.observed, observations=StackedObservations.of(parts)))
 
 
-def _drifting(run: RefinementRun, problem: Problem, start: Fit) -> Problem:
-    """The problem with the rigid drift that a rebound of few weights has from the true one."""
-    twin = problem.twin
-    if not run.options.drift or not twin.may_strike:
-        return problem
-    points = twin.scene.body.space.samples.surface_points
-    moved = replace(problem.reduced(), points=points).positions(start.values)
-    begin = first_contact(moved, twin.scene.obstacles, np.arange(len(moved)) / twin.fps, twin.scene.gravity)
-    if begin is None or begin >= len(moved):
-        return problem
-    speed = twin.fps * float(np.linalg.norm((moved[begin] - moved[begin - 1]).mean(axis=0)))
-    return replace(problem, drift=_DRIFT * speed, drift_limit=(begin, _DRIFT * speed))
-
-
 def _search(problem: Problem, found: Fit, options: FitOptions) -> Fit:
-    """The fit at one scale, with the drift linearised about the most likely one, twice."""
+    """The fit at one scale. Derivatives are computed once, and updated with every step."""
     model, seen = problem.reduced(), problem.seen
-    for _ in range(_DRIFT_TURNS if isinstance(seen, RigidDriftObservations) else 1):
-        about = seen
-        if isinstance(seen, RigidDriftObservations):
-            about = seen.with_kicks_at(model.positions(found.values))
-        found = fit(model, about, started_from(problem.parameters, found), options=options)
-    return found
+    positions, tangents = model.linearise(found.values)
+    if isinstance(seen, RigidDriftObservations):
+        seen = seen.begun_at(positions)
+    secant = SecantModel(model, found.values, positions, tangents, scales=step_scales(problem.parameters))
+    return fit(secant, seen, started_from(problem.parameters, found), options=options)
 
 
 def _masked(run: RefinementRun, problem: Problem) -> tuple[Camera, ...]:
@@ -187,21 +234,6 @@ def _predicted(run: RefinementRun, twin: Twin) -> WeightField:
     assert isinstance(found.skinning_field, PredictedField)
     vertices = twin.surface[0]
     return predicted_weights(found.skinning_field, origin=0.5 * (vertices.min(0) + vertices.max(0)))
-
-
-def _nearest(run: RefinementRun, level: Problem, start: Fit, candidates: Sequence[np.ndarray]) -> Fit:
-    """The start with the values that come nearest to the coarse images."""
-    misfits = run.workers.map(partial(_misfit, level), candidates)
-    if not np.isfinite(misfits).any():
-        raise ConvergenceError("convex twin: the body cannot be simulated at any start")
-    return replace(start, values=candidates[int(np.argmin(misfits))])
-
-
-def _misfit(level: Problem, values: np.ndarray) -> float:
-    try:
-        return misfit_of(level.seen, level.reduced().positions(values))
-    except ConvergenceError:
-        return np.inf
 
 
 def _photometric(run: RefinementRun, cameras: tuple[Camera, ...], drawn: ConvexField, pixels: int) -> Observed:

@@ -128,7 +128,8 @@ def _refined(run: RefinementRun) -> Refinement:
     reduced = start = search.start(problem)
     candidates = search.candidates(problem, reduced)
     rows = _network_row(run)
-    pixels = convex_fit(run, _with_time_step(run, problem, reduced), reduced, candidates, rest)
+    starts = (*candidates, *(_values_of(row, reduced) for row in rows))
+    pixels = convex_fit(run, _with_time_step(run, problem, reduced), reduced, starts, rest)
     if pixels is not None:
         told = with_reduction_error(run, pixels)
         if options.stop_after is not None:
@@ -166,6 +167,13 @@ def _refined(run: RefinementRun) -> Refinement:
     full = problem.full(run.memory)
     told = with_model_error(run, full, found, problem.seen, on_twin=None if problem.mesh is None else on_twin)
     return _result(run, problem, told, reduced, rest, rows, full=full, full_runs=full_runs, converged=converged)
+
+
+def _values_of(row: StageEstimate, found: Fit) -> np.ndarray:
+    """The values of a fit, with E and ν of a row."""
+    known = {"log10_youngs_modulus": row.log10_youngs_modulus, "poisson_ratio": row.poisson_ratio}
+    values = zip(found.parameters, found.values.tolist(), strict=True)
+    return np.array([p.at(known.get(p.name, value)).start for p, value in values])
 
 
 def _network_row(run: RefinementRun) -> list[StageEstimate]:

@@ -55,7 +55,7 @@ def union_volume(field: ConvexField, *, cells: int = 64) -> float:
 
 
 def union_samples(
-    field: ConvexField | None, surface: trimesh.Trimesh, *, cells: int = 80, interior: int = 2000, contacts: int = 600
+    field: ConvexField | None, surface: trimesh.Trimesh, *, cells: int = 80, interior: int = 1000, contacts: int = 300
 ) -> BodySamples:
     """Samples of the solid that a field's hulls fill within the closed surface of the body, without a mesh.
 

@@ -53,6 +53,7 @@ from .parameters import (
     Parameter as Parameter,
     default_parameter as default_parameter,
     lower_bounds as lower_bounds,
+    step_scales as step_scales,
     upper_bounds as upper_bounds,
 )
 from .photometric import PhotometricObservations as PhotometricObservations, background_of as background_of

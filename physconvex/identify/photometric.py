@@ -42,7 +42,8 @@ class PhotometricObservations(EvaluatedObservations):
         windows: first row, row after the last, first column, column after the last of the compared pixels, [T, 4].
         blur: width of a Gaussian over both images [pixels]; 0: none.
         fine: rendered pixels across one compared pixel.
-        sigma: standard deviation of a colour.
+        sigma: standard deviation of a colour. Residuals of neighbouring pixels and of the three channels go together,
+            over about 25 of them: the default is 0.05 times the root of that.
         exposure: gain and offset of each frame are free (and eliminated).
         robust_scale: Huber's threshold in standard deviations.
 
@@ -57,9 +58,9 @@ class PhotometricObservations(EvaluatedObservations):
     windows: Int[np.ndarray, "T 4"]
     blur: float = 0.0
     fine: int = 1
-    sigma: float = 0.05
+    sigma: float = 0.25
     exposure: bool = True
-    robust_scale: float = 3.0
+    robust_scale: float = 0.6
 
     def __post_init__(self) -> None:
         shape = (self.camera.h, self.camera.w, 3)

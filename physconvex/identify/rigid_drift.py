@@ -27,8 +27,15 @@ from scipy.spatial.transform import Rotation
 
 from physconvex.dynamics import Plane, Sphere
 from physconvex.identify.nuisance import Elimination, MarginalObservations
-from physconvex.identify.observations import Jacobian, Observations, Residuals, WrappedObservations
+from physconvex.identify.observations import (
+    Jacobian,
+    Observations,
+    Residuals,
+    StackedObservations,
+    WrappedObservations,
+)
 from physconvex.identify.outlines import with_drawn_outlines
+from physconvex.identify.photometric import PhotometricObservations
 from physconvex.identify.point_models import Positions, Tangents
 from physconvex.io import Workers
 from physconvex.numerics import best_rotation, huber_loss, huber_weights
@@ -73,28 +80,22 @@ class RigidDriftObservations(WrappedObservations):
         begin: frame of the first contact, at least 1.
         interval: time between frames Δt [s].
         sigma: standard deviation q of each frame's change of velocity, and of spin times r [m/s].
-        about: kicks [C] in units of q at which the residuals are linearised, see `with_kicks_at`; fitted anew at every
-            motion unless given.
+        begun: kicks [C] in units of q with which their fit begins, see `begun_at`; zero unless given.
     """
 
     seen: Observations
     begin: int
     interval: float
     sigma: float
-    about: Float[np.ndarray, " C"] | None = None
+    begun: Float[np.ndarray, " C"] | None = None
 
     def in_frames(self, count: int) -> RigidDriftObservations:
         """The first `count` frames alone."""
-        return replace(self, seen=self.seen.in_frames(count), about=None)
+        return replace(self, seen=self.seen.in_frames(count), begun=None)
 
-    def with_kicks_at(self, positions: Positions) -> RigidDriftObservations:
-        """The same, always linearised about the kicks that are most likely for these positions [m].
-
-        Motions near them then need one evaluation of the observations each, in place of one for every step of the fit
-        of the kicks.
-        """
-        free = replace(self, about=None)
-        return replace(self, about=free._fitted(positions, free._kicks(positions)))
+    def begun_at(self, positions: Positions) -> RigidDriftObservations:
+        """The same, with a start of the kicks that is near for motions near these positions [m]."""
+        return replace(self, begun=self._fitted(positions, self._kicks(positions)))
 
     def residuals(self, positions: Positions) -> Residuals:
         """Whitened residuals."""
@@ -103,7 +104,7 @@ class RigidDriftObservations(WrappedObservations):
     def linearise(self, positions: Positions, tangents: Tangents) -> tuple[Residuals, Jacobian]:
         """Whitened residuals and their derivatives (those of the kicks held fixed)."""
         kicks = self._kicks(positions)
-        fitted = self._fitted(positions, kicks) if self.about is None else self.about
+        fitted = self._fitted(positions, kicks)
         residuals, jacobian, slopes = self._by_kicks(self.seen, kicks.moved(positions, fitted), kicks, tangents)
         columns = np.hstack([(residuals - slopes @ fitted)[:, None], jacobian])
         columns = Elimination.of(slopes).whitened(columns)
@@ -166,19 +167,48 @@ class RigidDriftObservations(WrappedObservations):
         return residuals, by_parameters, slopes.reshape(len(residuals), -1)
 
     def _fitted(self, positions: np.ndarray, kicks: _Kicks) -> np.ndarray:
-        """The most likely kicks, in units of q; outlines are found again in the first steps only."""
-        found, seen, limits = np.zeros(kicks.count), self.seen, self.robust_scales
+        """The most likely kicks, in units of q. Followed points and outlines find them first, as pixels see only near
+        ones."""
+        found = np.zeros(kicks.count)
+        if self.begun is not None and len(self.begun) == kicks.count:
+            found = self.begun
+        far = _far_seeing(self.seen)
+        if far is not None:
+            seen, chosen = far
+            found = self._settled(seen, positions[:, chosen], replace(kicks, moves=kicks.moves[:, :, chosen]), found)
+        return self._settled(self.seen, positions, kicks, found)
+
+    def _settled(self, seen: Observations, positions: np.ndarray, kicks: _Kicks, found: np.ndarray) -> np.ndarray:
+        """Gauss–Newton steps from given kicks; outlines are found again in the first steps only."""
+        limits, drawn = seen.robust_scales, seen
         for turn in range(_TURNS if kicks.count else 0):
             moved = kicks.moved(positions, found)
             if turn < _DRAWN:
-                seen = with_drawn_outlines(self.seen, moved)
-            residuals, _, slopes = self._by_kicks(seen, moved, kicks)
+                drawn = with_drawn_outlines(seen, moved)
+            residuals, _, slopes = self._by_kicks(drawn, moved, kicks)
             weighted = slopes * huber_weights(residuals, limits)[:, None]
             change = np.linalg.solve(weighted.T @ slopes + np.eye(len(found)), weighted.T @ residuals + found)
             found = found - change
             if np.abs(change).max() < _SETTLED:
                 break
         return found
+
+
+def _far_seeing(seen: Observations) -> tuple[Observations, np.ndarray] | None:
+    """The observations without rendered pixels, and the indices of their points; None if that leaves all or nothing."""
+    if isinstance(seen, MarginalObservations):
+        part = _far_seeing(seen.seen)
+        if part is None or not isinstance(part[0], StackedObservations):
+            return None
+        return replace(seen, seen=part[0]), part[1]
+    if not isinstance(seen, StackedObservations):
+        return None
+    kept = [not isinstance(part, PhotometricObservations) for part in seen.parts]
+    if all(kept) or not any(kept):
+        return None
+    pairs = [(part, where) for part, where, keep in zip(seen.parts, seen.point_slices, kept, strict=True) if keep]
+    chosen = np.concatenate([np.arange(where.start, where.stop) for _, where in pairs])
+    return StackedObservations(tuple(part for part, _ in pairs)), chosen
 
 
 @dataclass(frozen=True, eq=False)

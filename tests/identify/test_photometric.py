@@ -24,7 +24,7 @@ def test_the_true_material_leaves_nothing_and_another_does(
     model = ReducedModel(painted_twin, NAMES, box_film.points, FRAMES)
     assert np.abs(box_film.residuals(model.positions(TRUE))).max() < 1e-9
     other = box_film.residuals(model.positions(TRUE + np.array([0.2, 0, 0, 0])))
-    assert len(other) == len(box_film.frames) == 3 * 22 * 24 * FRAMES and np.abs(other).max() > 1.0
+    assert len(other) == len(box_film.frames) == 3 * 22 * 24 * FRAMES and np.abs(other).max() > 0.5
     assert np.abs(other[box_film.frames == 0]).max() < 1e-9  # frame 0 is the state at t = 0
     assert box_film.point_indices.max() < len(box_film.points)
 
@@ -88,6 +88,26 @@ def test_camera_pose_as_a_nuisance_has_the_derivatives_of_a_moved_camera(
             )
         expected = (ends[0] - ends[1]) / 2e-6
         assert np.linalg.norm(columns[:, 3 + axis] - expected) < 1e-3 * np.linalg.norm(expected)
+
+
+def test_followed_points_lead_pixels_to_a_far_drift(painted_twin: Twin, box_film: PhotometricObservations) -> None:
+    """A drift of several pixels lies beyond what colours see; a few followed points find it."""
+    from physconvex.identify import PixelObservations, ReducedModel, RigidDriftObservations, StackedObservations
+
+    some = painted_twin.mesh.vertices[:: max(1, len(painted_twin.mesh.vertices) // 8)]
+    begin, interval, far = 2, 1 / painted_twin.fps, np.zeros((FRAMES, 1, 3))
+    far[begin:, 0, 0] = -0.03 * np.arange(1, FRAMES - begin + 1)
+    model = ReducedModel(painted_twin, NAMES, np.concatenate([some, box_film.points]), FRAMES)
+    positions = model.positions(TRUE) + far
+    pixels, _ = box_film.camera.project(positions[:, : len(some)] - far)
+    points = PixelObservations(box_film.camera, some, pixels, np.full(pixels.shape[:2], 0.3))
+    stack = StackedObservations.of([points, box_film])
+    both = RigidDriftObservations(stack, begin, interval, 3.0)
+    alone = RigidDriftObservations(StackedObservations.of([box_film]), begin, interval, 3.0)
+    reached = both.drift(positions)[-1, len(some) :] + far[-1]
+    missed = alone.drift(positions[:, len(some) :])[-1] + far[-1]
+    assert np.linalg.norm(reached, axis=-1).mean() < 0.003
+    assert np.linalg.norm(missed, axis=-1).mean() > 0.03
 
 
 def test_wrong_inputs_are_told(box_film: PhotometricObservations) -> None:
