@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from physconvex.convex import harmonic_basis, polar_rotation, rotate_harmonics
+from physconvex.render import slopes
 
 
 def rotations(count: int, seed: int = 0) -> torch.Tensor:
@@ -40,3 +41,23 @@ def test_the_polar_rotation_undoes_a_stretch_and_has_determinant_one():
     torch.testing.assert_close(polar_rotation(turns @ stretch), turns)
     inverted = polar_rotation(-turns)
     torch.testing.assert_close(torch.det(inverted), torch.ones(6, dtype=torch.float64))
+
+
+def test_the_polar_rotation_has_the_derivative_of_differences_also_at_rest_and_inverted():
+    generator = torch.Generator().manual_seed(0)
+    gradients = torch.eye(3, dtype=torch.float64).repeat(4, 1, 1)
+    gradients[1:] += 0.3 * torch.randn(3, 3, 3, generator=generator, dtype=torch.float64)
+    gradients[3, :, 2] *= -1
+    assert torch.det(gradients[3]) < 0
+    way = torch.randn(4, 3, 3, generator=generator, dtype=torch.float64)
+    (found,) = slopes(lambda at: (polar_rotation(at),), gradients, way[None])
+    step = 1e-6
+    expected = (polar_rotation(gradients + step * way) - polar_rotation(gradients - step * way)) / (2 * step)
+    torch.testing.assert_close(found[0], expected, rtol=1e-6, atol=1e-8)
+
+
+def test_outputs_that_stay_have_no_slope():
+    at, ways = torch.tensor([1.0, 2.0]), torch.eye(2)
+    moving, still = slopes(lambda x: (x.square().sum()[None], torch.ones(3)), at, ways)
+    assert still is None
+    torch.testing.assert_close(moving, torch.tensor([[2.0], [4.0]]))

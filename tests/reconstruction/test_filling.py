@@ -3,10 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 import trimesh
 
-from physconvex.convex import ConvexField, inside_union
+from physconvex import InputError
+from physconvex.convex import ConvexField, inside_union, union_samples
 from physconvex.io import look_at
 from physconvex.reconstruction import ReconstructionConfig, fill_gaps, start_field
 from physconvex.reconstruction.gap_filling import grown_boxes
@@ -59,3 +61,27 @@ def test_few_convexes_fill_the_largest_gaps_and_none_are_added_where_all_is_cove
     assert len(fill_gaps(whole, ball_mesh(), footprint=footprint, budget=len(field) + 1000)) == len(whole)
     drawn = replace(whole, opacity=torch.ones(len(whole)))
     assert len(fill_gaps(drawn, box, footprint=footprint, budget=len(drawn) + 50)) == len(whole)
+
+
+def test_samples_of_a_filled_body_have_its_mass_and_inertia_however_its_hulls_overlap():
+    field, footprint = with_hole()
+    ball = ball_mesh()
+    filled = fill_gaps(field, ball, footprint=0.4 * footprint, budget=2000 + len(field))
+    twice = ConvexField.joined([filled, filled])
+    samples = union_samples(twice, ball, cells=40)
+    mass = samples.mass
+    assert mass.volume == pytest.approx(ball.volume, rel=0.01)
+    assert samples.interior.volume == pytest.approx(mass.volume, rel=1e-9)
+    assert np.abs(mass.weights @ mass.points / mass.volume).max() < 0.01 * RADIUS
+    moment = mass.weights @ np.square(mass.points[:, :2]).sum(axis=1)
+    assert moment == pytest.approx(0.4 * ball.volume * RADIUS**2, rel=0.015)
+    assert samples.surface_areas.sum() == pytest.approx(ball.area, rel=1e-6)
+    assert (samples.mass.cells.max() + 1) == samples.interior.cell_count < 1500
+
+
+def test_hulls_beside_the_body_give_no_samples():
+    field, _ = with_hole()
+    moved = field.with_points(field.points + 1.0)
+    with pytest.raises(InputError, match="its hulls fill 0 of the 20³ boxes inside the surface"):
+        union_samples(moved, ball_mesh(), cells=20)
+    assert union_samples(None, ball_mesh(), cells=20).mass.volume == pytest.approx(ball_mesh().volume, rel=0.03)
