@@ -65,7 +65,11 @@ def polar_rotation(gradients: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N 3 3"]:
     change = rotation.mT @ gradients  # symmetric at the given gradients
     skew = change - change.mT
     axial = torch.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], dim=1)
-    x, y, z = torch.linalg.solve_ex(inertia, axial[..., None])[0][..., 0].unbind(dim=1)
+    # damped, since an inverted body may leave the rotation undetermined
+    square = inertia.mT @ inertia
+    damping = 10 * torch.finfo(given.dtype).eps * square.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None]
+    damped = square + damping.clamp(min=torch.finfo(given.dtype).tiny) * torch.eye(3).to(given)
+    x, y, z = torch.linalg.solve_ex(damped, inertia.mT @ axial[..., None])[0][..., 0].unbind(dim=1)
     zero = torch.zeros_like(x)
     turn = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=1).reshape(-1, 3, 3)
     return rotation + rotation @ turn
