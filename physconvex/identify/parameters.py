@@ -24,7 +24,7 @@ _MATERIAL = {
     "density": (1000.0, 10.0, 2e4, 100.0),
     "damping_time": (1e-3, 0.0, 0.1, 2e-3),
     "air_drag": (0.05, 0.0, 10.0, 0.1),
-    "friction": (0.3, 0.0, 2.0, 0.1),
+    "friction": (0.3, 1e-3, 2.0, 0.1),  # a frictionless floor has no derivative by it
     "contact_damping": (1e-3, 1e-6, 0.5, 1e-3),
     "log10_contact_stiffness": (7.0, 3.0, 11.0, 0.3),
 }

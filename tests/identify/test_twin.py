@@ -9,6 +9,7 @@ from physconvex.dynamics import Timing, simulate
 from physconvex.fem import ElasticBody
 from physconvex.identify import (
     MarkerObservations,
+    ReducedModel,
     TwinOptions,
     WeightedObservations,
     base_twin,
@@ -28,6 +29,9 @@ from physconvex.reduced import eigenmode_weights
 
 SIZE = (0.2, 0.05, 0.05)
 BOX = np.array([[-1e-6, -1.0, -1.0], [1e-6, 1.0, 1.0]])
+
+
+STILL = {"initial_velocity": np.zeros(3), "initial_angular_velocity": np.zeros(3)}
 
 
 def saved(folder, *, boundary=None, geometry=True, **changes):
@@ -144,6 +148,18 @@ def test_priors_friction_and_contradictions(tmp_path):
         default_parameters(twin, priors={"density": (1000.0, 10.0)})
     with pytest.raises(InputError, match="no floor"):
         with_free_friction(twin)
+
+
+def test_free_friction_has_derivatives_at_its_lowest_value(tmp_path):
+    """A fit that reached zero friction ended with an error, since a frictionless floor has no such parameter."""
+    floor = Floor(np.array([0, 0, -0.001]), np.array([0.0, 0.0, 1.0]))
+    twin = with_free_friction(
+        base_twin(saved(tmp_path / "c", floor=floor, **STILL), TwinOptions(weights=1, steps_per_frame=2))
+    )
+    (friction,) = default_parameters(twin, free=["friction"], fixed=["log10_youngs_modulus", "poisson_ratio"])
+    model = ReducedModel(twin, ("friction",), np.zeros((1, 3)), 2)
+    positions, tangents = model.linearise(np.array([friction.lower]))
+    assert np.isfinite(tangents).all() and positions.shape == (2, 1, 3)
 
 
 def test_frames_that_the_model_does_not_know_count_less():
