@@ -100,7 +100,7 @@ def read_asset(path: str | Path) -> Asset:
         convexes = read_ply(path)
         hulls = hull_mesh(convexes)
         if hulls.is_empty:
-            raise InputError(f"{path}: no convex has a volume; expected a field with solid convexes")
+            raise InputError(f"{path}: no convex has a face; expected a field with solid convexes")
         return Asset(RestSurface(np.asarray(hulls.vertices), np.asarray(hulls.faces)), convexes, overlapping=True)
     return Asset(read_surface(path))
 

@@ -29,7 +29,10 @@ def surface_of_union(field: ConvexField) -> RestSurface:
     lattice = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1)
     inside = inside_union(field, lattice.reshape(-1, 3)).reshape(lattice.shape[:3])
     if not inside.any():
-        raise InputError(f"convexes: the hulls of {len(field)} fill no cell of {cell:.3g} m; expected solid convexes")
+        raise InputError(
+            f"convexes: the hulls of {len(field)} fill no cell of {cell:.3g} m; expected solid convexes, of four or "
+            "more points each, or the folder of the reconstruction, whose body.ply is the solid"
+        )
     solid = gaussian_filter(binary_fill_holes(binary_closing(inside)).astype(np.float64), SMOOTH)
     surface = level_surface(cell * (0.5 - solid), origin=lattice[0, 0, 0], cell=cell)
     return RestSurface(np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces))

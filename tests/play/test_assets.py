@@ -90,6 +90,14 @@ def test_a_convex_field_moves_with_its_body(field_file, tmp_path):
     np.testing.assert_allclose(np.sort(offsets[0]), np.sort(expected.offsets.numpy()), atol=1e-5)
 
 
+def test_flat_convexes_alone_are_no_body(tmp_path):
+    ones = torch.ones(2)
+    triangles = torch.as_tensor(np.random.default_rng(0).normal(size=(2, 3, 3)), dtype=torch.float32)
+    write_ply(ConvexField(triangles, 200 * ones, 2 * ones, ones, torch.zeros(2, 4, 3)), tmp_path / "field.ply")
+    with pytest.raises(InputError, match=r"fill no cell .* folder of the reconstruction"):
+        play(read_asset(tmp_path / "field.ply"), load_play_config(overrides=QUICK))
+
+
 @pytest.mark.parametrize("count", [1, 3000])
 def test_a_field_of_one_convex_and_of_thousands_is_one_body(count, tmp_path):
     """Overlapping hulls all over a box: one closed surface around them is meshed, not the hulls."""

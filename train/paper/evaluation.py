@@ -125,6 +125,7 @@ class _Object:
             ("reconstruction", partial(self._reconstruction, POINTS)),
             ("constant", self._constant),
             ("network", self._network),
+            ("convex_twin", partial(self._convex_twin, POINTS, self.options.weights, self.cameras)),
             ("corrected", self._corrected),
             ("followed", self._followed),
             ("given_mesh", self._given_mesh),
@@ -137,7 +138,8 @@ class _Object:
             parts += [(way, partial(self._published_way, way)) for way in WAYS]
         for points in dict.fromkeys(points for points, _ in options.pairs if points != POINTS):
             parts.append((f"reconstruction_K{points}", partial(self._reconstruction, points)))
-        return parts + [(f"convex_K{k}_M{m}", partial(self._convex_twin, k, m)) for k, m in options.pairs]
+        front = self.cameras[:1]
+        return parts + [(f"convex_K{k}_M{m}", partial(self._convex_twin, k, m, front)) for k, m in options.pairs]
 
     def _part(self, part: str, compute: Callable[[], PaperPart]) -> None:
         if part in self.row.parts:
@@ -274,11 +276,10 @@ class _Object:
         options = self._settings().replace(body=self.truth / "mesh.ply")
         return self._fitted(refine(self.capture.folder, out=self.work / "given_mesh", options=options), self.cameras)
 
-    def _convex_twin(self, points: int, weights: int) -> PaperPart:
-        """The fit of the reduced model alone, with so many points per convex and skinning weights."""
-        settings = self._settings(points).replace(weights=weights, correction=False, model_error=False, colours=False)
-        found = refine(self.capture.folder, out=self._folder(points), options=settings)
-        return self._fitted(found, self.cameras[:1])
+    def _convex_twin(self, points: int, weights: int, cameras: Sequence[Camera]) -> PaperPart:
+        """The convex twin alone, with so many points per convex and skinning weights."""
+        settings = self._settings(points).replace(weights=weights, stop_after="convex")
+        return self._fitted(refine(self.capture.folder, out=self._folder(points), options=settings), cameras)
 
     def _published_way(self, way: str) -> PaperPart:
         """From the network's prediction; perhaps with this project's time steps or optimiser in place of theirs."""
