@@ -130,6 +130,9 @@ def simulate_command(
             f"{out}: {summary['frames']} frames of {summary['vertices']} vertices, {summary['mass_kg']:.3g} kg; height "
             f"{summary['height_first_m']:.3g} m at first, {summary['height_last_m']:.3g} m at last"
         )
+        for field in played.adapted:
+            if field is not None and field.split > field.given:
+                typer.echo(f"convexes that the motion bends are split: {field}")
 
 
 def _asset(path: Path, out: Path, body: Path | None, *, told: bool) -> Asset:

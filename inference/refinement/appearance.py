@@ -18,7 +18,7 @@ from inference.refinement.motion import RefinedMotion
 from inference.refinement.options import RefineOptions
 from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import InputError
-from physconvex.convex import BoundField, ConvexField, bind_to_tets, read_ply
+from physconvex.convex import AdaptedField, BoundField, ConvexField, bind_to_tets, read_ply
 from physconvex.identify import cast_camera_rays
 from physconvex.io import Camera, Capture
 from physconvex.numerics import device_named
@@ -38,6 +38,28 @@ _PARTS = ("points", "smoothness", "sharpness", "opacity", "harmonics")
 
 
 @dataclass(frozen=True, eq=False)
+class FieldSplit:
+    """The field split for the fitted motion.
+
+    Attributes:
+        adapted: the field whose convexes move nearly affinely, with its counts.
+        gain: by which it draws the object's pixels of the observed frames better than the whole field [dB of PSNR].
+    """
+
+    adapted: AdaptedField
+    gain: float
+
+    @property
+    def used(self) -> bool:
+        """Whether the split field is the one that is drawn."""
+        return self.gain > 0
+
+    def to_json(self) -> dict[str, JsonValue]:
+        """Counts, distances from affine [m], gain [dB]."""
+        return {**self.adapted.to_json(), "gain_db": self.gain, "used": self.used}
+
+
+@dataclass(frozen=True, eq=False)
 class Appearance:
     """A convex field at rest and the motion that carries it.
 
@@ -46,12 +68,14 @@ class Appearance:
         motion: of the fitted model.
         source: origin of the field, in words.
         first_frame_psnr: of each camera's first image, over the pixels of the object [dB].
+        split: what splitting its convexes for the motion brings; None without videos to compare with.
     """
 
     field: ConvexField
     motion: RefinedMotion
     source: str
     first_frame_psnr: dict[str, float]
+    split: FieldSplit | None = None
 
     @cached_property
     def bound(self) -> BoundField:
@@ -59,9 +83,14 @@ class Appearance:
         return bind_to_tets(self.field, self.motion.mesh)
 
     def to_json(self) -> dict[str, JsonValue]:
-        """Number of convexes, source, PSNR of the first images [dB]."""
+        """Number of convexes, source, PSNR of the first images [dB], splitting."""
         scores: dict[str, JsonValue] = {**self.first_frame_psnr}
-        return {"convexes": len(self.field), "source": self.source, "first_frame_psnr_object": scores}
+        return {
+            "convexes": len(self.field),
+            "source": self.source,
+            "first_frame_psnr_object": scores,
+            "splitting": None if self.split is None else self.split.to_json(),
+        }
 
     def at(self, frame: int) -> ConvexField:
         """The field in a frame."""

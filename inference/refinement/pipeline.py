@@ -17,6 +17,7 @@ from inference.refinement.coarse_start import START_OPTIONS, coarse_start
 from inference.refinement.colour_search import fit_colours
 from inference.refinement.convex_stage import CONVEX, convex_fit
 from inference.refinement.estimates import FitWithError, fitted_parameters, with_model_error, with_reduction_error
+from inference.refinement.field_adaptation import with_split_convexes
 from inference.refinement.fine_fit import fit_on_more_nodes
 from inference.refinement.geometry_error import geometry_error
 from inference.refinement.meshes import comparison_mesh
@@ -211,6 +212,7 @@ def _result(
     found, full = told.fit, full or problem.full(run.memory)
     motion = refined_motion(run, full, found, mesh=told.mesh)
     appearance = appearance_of(motion, rest)
+    appearance = None if appearance is None else with_split_convexes(appearance, run.capture)
     by_geometry = geometry_error(run, full, found, problem.seen)
     estimates, rms, notes = _estimates(problem, told, by_geometry)
     drift, fixed = drift_of(problem, found), _fixed(run, problem)

@@ -1,3 +1,8 @@
+from .adaptation import (
+    AdaptedField as AdaptedField,
+    adapt_to_motion as adapt_to_motion,
+    bent_frames as bent_frames,
+)
 from .field import ConvexField as ConvexField, FreeParameters as FreeParameters
 from .files import hull_mesh as hull_mesh, read_ply as read_ply, write_glb as write_glb, write_ply as write_ply
 from .halfspaces import (

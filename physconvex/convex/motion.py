@@ -19,7 +19,10 @@ from physconvex.mesh import Embedding, TetMesh, locate, shape_gradients
 from physconvex.reduced import ReducedSpace
 
 DeformationMap = Callable[[Tensor], tuple[Tensor, Tensor]]
-"""Rest positions X [P, 3] to positions x [P, 3], both in metres, and gradients ∂x_i/∂X_j [P, 3, 3]."""
+"""Rest positions X [P, 3] to positions x [*T, P, 3], both in metres, and gradients ∂x_i/∂X_j [*T, P, 3, 3].
+
+`advect` takes a map of one state, T = (). Maps of several states serve to split and merge for a whole motion.
+"""
 
 
 def affine_map(linear: Float[Tensor, "3 3"], shift: Float[Tensor, " 3"]) -> DeformationMap:
@@ -137,24 +140,29 @@ def bind_to_space(field: ConvexField, space: ReducedSpace) -> BoundField:
     return BoundField(field, values, gradients.reshape(-1, gradients.shape[2]))
 
 
-def space_map(space: ReducedSpace, coordinates: Float[np.ndarray, "R 3"]) -> DeformationMap:
-    """The deformation of a reduced body at coordinates y [m]: x = Σ_a N_a(X) y_a with its gradient."""
+def space_map(space: ReducedSpace, coordinates: Float[np.ndarray, "*T R 3"]) -> DeformationMap:
+    """The deformation of a reduced body at coordinates y [m]: x = Σ_a N_a(X) y_a with its gradient; of several states
+    if there is a first axis."""
 
     def deform(points: Tensor) -> tuple[Tensor, Tensor]:
         rest = numbers(points)
-        gradients = np.einsum("pri,rk->pki", space.shape_gradients(rest), coordinates)
+        gradients = np.einsum("pri,...rk->...pki", space.shape_gradients(rest), coordinates)
         return torch.as_tensor(space.shape_values(rest) @ coordinates).to(points), torch.as_tensor(gradients).to(points)
 
     return deform
 
 
-def tet_map(mesh: TetMesh, positions: Float[np.ndarray, "V 3"]) -> DeformationMap:
-    """The deformation of a tetrahedral mesh whose nodes are at these positions [m], with its gradient."""
+def tet_map(mesh: TetMesh, positions: Float[np.ndarray, "*T V 3"]) -> DeformationMap:
+    """The deformation of a tetrahedral mesh whose nodes are at these positions [m], with its gradient; of several
+    states if there is a first axis."""
+    states = np.reshape(positions, (-1, len(mesh.vertices), 3))
 
     def deform(points: Tensor) -> tuple[Tensor, Tensor]:
-        rest = numbers(points)
-        gradients = (_tet_gradients(mesh, rest) @ positions).reshape(-1, 3, 3).swapaxes(1, 2)
-        moved = Embedding.of_points(mesh, rest).apply(positions)
+        rest, shape = numbers(points), np.shape(positions)[:-2]
+        by_nodes = np.moveaxis(states, 0, 1).reshape(len(mesh.vertices), -1)  # [V, T 3]
+        slopes = (_tet_gradients(mesh, rest) @ by_nodes).reshape(len(rest), 3, len(states), 3)  # [P, j, T, i]
+        gradients = slopes.transpose(2, 0, 3, 1).reshape(*shape, len(rest), 3, 3)
+        moved = Embedding.of_points(mesh, rest).apply(states).reshape(*shape, len(rest), 3)
         return torch.as_tensor(moved).to(points), torch.as_tensor(gradients).to(points)
 
     return deform

@@ -16,6 +16,7 @@ from physconvex.convex.motion import DeformationMap
 from physconvex.errors import InputError
 
 LEVELS = 6  # most splits: one convex becomes up to 64
+BLOCK = 2000  # convexes whose deviation is computed at once
 MOST_OVERLAP = 0.2  # of the extent across the cut
 CENTRAL = 0.15  # a corner this near to the middle (in extents) is the place of the cut
 NEAR_CUT, CENTRAL_POINT = 0.05, 0.3  # of `halve`: points this near to the cut belong to both parts; as CENTRAL
@@ -40,24 +41,33 @@ def non_affinity(field: ConvexField, deform: DeformationMap) -> Float[Tensor, " 
     """Deviation of a deformation from an affine map within each convex, relative to the size of the moved convex.
 
     The greatest distance of the moved points, and of the moved middles of all pairs of points, from their images under
-    the best affine map (least squares over them), divided by the greatest distance of two moved points.
+    the best affine map (least squares over them), divided by the greatest distance of two moved points. Of several
+    states the greatest.
     """
-    deviation, size = _deviation(field, deform)
-    return deviation / size
+    deviation, size = deviation_from_affine(field, deform)
+    return (deviation / size).amax(dim=0)
 
 
-def _deviation(field: ConvexField, deform: DeformationMap) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"]]:
+def deviation_from_affine(
+    field: ConvexField, deform: DeformationMap
+) -> tuple[Float[Tensor, "T N"], Float[Tensor, "T N"]]:
     """The greatest distance from the best affine map, and the size of the moved convex [m], see `non_affinity`."""
+    blocks = [_deviation(field.select(rows), deform) for rows in torch.arange(len(field)).split(BLOCK)]
+    deviations, sizes = zip(*blocks, strict=True)
+    return torch.cat(deviations, dim=1), torch.cat(sizes, dim=1)
+
+
+def _deviation(field: ConvexField, deform: DeformationMap) -> tuple[Float[Tensor, "T N"], Float[Tensor, "T N"]]:
     first, second = zip(*combinations(range(field.points.shape[1]), 2), strict=True)
     rest = torch.cat([field.points, 0.5 * (field.points[:, first] + field.points[:, second])], dim=1)
-    moved = deform(rest.reshape(-1, 3))[0].reshape(rest.shape)
+    moved = deform(rest.reshape(-1, 3))[0].reshape(-1, *rest.shape)
     ones = torch.ones_like(rest[..., :1])
     scale = torch.linalg.vector_norm(rest - rest.mean(dim=1, keepdim=True), dim=2).mean(dim=1)[:, None, None]
     table = torch.cat([(rest - rest.mean(dim=1, keepdim=True)) / scale, ones], dim=2)
     fitted = table @ (torch.linalg.pinv(table) @ moved)
-    corners = moved[:, : field.points.shape[1]]
-    size = torch.cdist(corners, corners).flatten(1).amax(dim=1)
-    return torch.linalg.vector_norm(moved - fitted, dim=2).amax(dim=1), size
+    corners = moved[:, :, : field.points.shape[1]]
+    size = torch.cdist(corners, corners).flatten(2).amax(dim=2)
+    return torch.linalg.vector_norm(moved - fitted, dim=3).amax(dim=2), size
 
 
 def split(
@@ -129,7 +139,7 @@ def split_until_affine(
     overlap: float = 0.0,
 ) -> Division:
     """Split the rest field, across the direction in which the gradient changes most, until the deformation is
-    affine within every convex up to `tolerance`, or there are `limit`.
+    affine within every convex up to `tolerance` in every state of the map, or there are `limit`.
 
     All corners are kept (K may grow), so that the union of the hulls is unchanged. Advect the result.
 
@@ -150,35 +160,39 @@ def split_until_affine(
     if min(least, overlap) < 0:
         raise InputError(f"least, overlap: got {least} m and {overlap} widths of an edge; expected at least 0")
     sources, lost = torch.arange(len(field)), 0.0
+    new = sources  # convexes that the last round made
     for _ in range(LEVELS):
-        deviation, size = _deviation(field, deform)
-        error = torch.where(deviation > least, deviation / size, 0.0).detach().cpu()
-        room = limit - len(field)
-        worst = error.argsort(descending=True)[: max(room, 0)]
-        which = torch.zeros(len(field), dtype=torch.bool)
-        which[worst[error[worst] > tolerance]] = True
-        if not which.any():
+        deviation, size = deviation_from_affine(field.select(new), deform)
+        error = torch.where(deviation > least, deviation / size, 0.0).amax(dim=0).detach().cpu()
+        worst = error.argsort(descending=True)[: max(limit - len(field), 0)]
+        chosen = new[worst[error[worst] > tolerance]].sort().values
+        if not len(chosen):
             break
-        normals = _bending(field, deform)
+        which = torch.zeros(len(field), dtype=torch.bool)
+        which[chosen] = True
+        normals = torch.zeros_like(field.points[:, 0])
+        normals[chosen] = _bending(field.select(chosen), deform)
         heights = torch.einsum("nki,ni->nk", field.points.detach(), normals)
         across = heights.amax(dim=1) - heights.amin(dim=1)
         reach = torch.minimum(overlap / (field.smoothness * field.sharpness), MOST_OVERLAP * across).detach()
         division = split(field, which, normals=normals, overlap=reach, keep_count=False)
         field, sources, lost = division.field, sources[division.sources], lost + division.lost_volume
+        new = torch.arange(len(field) - 2 * len(chosen), len(field))
     return Division(field, sources, lost)
 
 
 def _bending(field: ConvexField, deform: DeformationMap) -> Float[Tensor, "N 3"]:
-    """Unit normals of the cuts across which the gradient F changes most from part to part.
+    """Unit normals of the cuts across which the gradient F changes most from part to part, over all states together.
 
     F(X_k) ≈ F̄ + G (X_k − X̄) by least squares; with coordinates u = C^(−1/2) (X − X̄) in which the convex is as long in
     all directions, the greatest change is along the first right singular vector v of G C^(1/2): the cut is u · v = 0.
     """
     with torch.no_grad():
         offsets = field.points - field.centres[:, None]
-        gradients = deform(field.points.reshape(-1, 3))[1].reshape(*offsets.shape[:2], 9)
+        gradients = deform(field.points.reshape(-1, 3))[1].reshape(-1, *offsets.shape[:2], 9)
+        gradients = gradients.permute(1, 2, 0, 3).flatten(2)  # [N, K, T 9]
         changes = gradients - gradients.mean(dim=1, keepdim=True)
-        slopes = torch.linalg.pinv(offsets) @ changes  # [N, 3, 9]
+        slopes = torch.linalg.pinv(offsets) @ changes  # [N, 3, T 9]
         values, axes = torch.linalg.eigh(offsets.transpose(1, 2) @ offsets)
         roots = values.clamp(min=1e-8 * values[:, 2:]).sqrt()
         whitened = roots[..., None] * (axes.transpose(1, 2) @ slopes)

@@ -4,6 +4,7 @@ from .config import (
     BasisConfig as BasisConfig,
     BodyMaterialConfig as BodyMaterialConfig,
     ContactConfig as ContactConfig,
+    ConvexesConfig as ConvexesConfig,
     FloorConfig as FloorConfig,
     ForceConfig as ForceConfig,
     PlayConfig as PlayConfig,

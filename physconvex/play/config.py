@@ -134,6 +134,18 @@ class BasisConfig(FrozenConfig):
         return self
 
 
+class ConvexesConfig(FrozenConfig):
+    """Convex dynamics: convexes of a field that the motion bends are split (`physconvex.convex.adapt_to_motion`).
+
+    Attributes:
+        deviation: distance from an affine motion up to which a convex stays whole, as a share of the object's size.
+        limit: most convexes after splitting; 0: none is split.
+    """
+
+    deviation: Positive = 5e-3
+    limit: int = Field(default=20_000, ge=0)
+
+
 class TimeConfig(FrozenConfig):
     """Number of frames, rate [1/s], time steps per frame, most friction passes per step, last Newton step relative to
     the size, gain of energy above which a step is halved (`physconvex.dynamics.Timing`)."""
@@ -155,6 +167,7 @@ class PlayConfig(FrozenConfig):
     contact: ContactConfig = ContactConfig()
     forces: ForceConfig = ForceConfig()
     basis: BasisConfig = BasisConfig()
+    convexes: ConvexesConfig = ConvexesConfig()
     time: TimeConfig = TimeConfig()
 
 

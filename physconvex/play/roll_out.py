@@ -9,7 +9,16 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from physconvex.convex import ConvexField, advect, affine_map, union_volume
+from physconvex.convex import (
+    AdaptedField,
+    ConvexField,
+    adapt_to_motion,
+    advect,
+    affine_map,
+    bent_frames,
+    space_map,
+    union_volume,
+)
 from physconvex.dynamics import Plane, State, Timing, Wind, simulate
 from physconvex.fem import ElasticBody
 from physconvex.materials import (
@@ -57,7 +66,7 @@ class PlayedObject:
         owners: number of the object that each vertex belongs to, shape [V].
         masses: of the bodies [kg].
         volumes: of the bodies [m³].
-        convexes: the convex field of each object that has one, at the start.
+        adapted: the convex field of each object that has one, at the start, split where the motion bends its convexes.
     """
 
     config: PlayConfig
@@ -67,7 +76,7 @@ class PlayedObject:
     owners: Int[np.ndarray, " V"]
     masses: tuple[float, ...]
     volumes: tuple[float, ...]
-    convexes: tuple[ConvexField | None, ...]
+    adapted: tuple[AdaptedField | None, ...]
 
     def _repr_html_(self) -> str:
         """Numbers and pictures, for a notebook."""
@@ -85,6 +94,11 @@ class PlayedObject:
         low, high = self.positions.min((0, 1)), self.positions.max((0, 1))
         middle, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
         return middle + 3.6 * reach * np.array([0.35, -0.9, 0.32]), middle, reach
+
+    @property
+    def convexes(self) -> tuple[ConvexField | None, ...]:
+        """The convex field of each object that has one, at the start."""
+        return tuple(None if one is None else one.field for one in self.adapted)
 
     @property
     def mass(self) -> float:
@@ -165,8 +179,19 @@ def play_together(
         np.repeat(np.arange(len(counts)), counts),
         tuple(one.scene.body.total_mass for one in prepared),
         tuple(one.scene.body.volume for one in prepared),
-        tuple(one.convexes for one in prepared),
+        tuple(_adapted(one, run, c) for one, run, c in zip(prepared, runs, configs, strict=True)),
     )
+
+
+def _adapted(one: _Prepared, run: ReducedTrajectory, config: PlayConfig) -> AdaptedField | None:
+    """The field of an object, split for the frames in which it is bent most."""
+    if one.convexes is None:
+        return None
+    rest, settings = one.surface.vertices, config.convexes
+    distance = settings.deviation * float(np.ptp(rest, axis=0).max())
+    frames = bent_frames(rest, run.positions(rest), distance=distance)
+    bent = space_map(run.space, run.coordinates[frames])
+    return adapt_to_motion(one.convexes, bent, distance=distance, limit=settings.limit)
 
 
 def _prepare(asset: Asset, config: PlayConfig, ground: float, *, alone: bool) -> _Prepared:

@@ -33,6 +33,7 @@ def summary_of(played: PlayedObject) -> dict[str, JsonValue]:
         "height_last_m": end,
         "centre_last_m": played.positions[-1].mean(0).tolist(),
         "lowest_m": float(heights.min()),
+        "convexes": [{**one.to_json()} for one in played.adapted if one is not None],
         "statistics": asdict(played.trajectory.statistics),
     }
 

@@ -112,6 +112,10 @@ def test_one_camera_is_enough(folder, tmp_path):
     moved = found.appearance.at(FRAMES - 1).points.mean((0, 1)) - field.points.mean((0, 1))
     body = found.motion.vertices[-1].mean(0) - found.motion.vertices[0].mean(0)
     np.testing.assert_allclose(moved.numpy(), body, atol=0.01)
+    told = found.to_json()["convex_field"]["splitting"]
+    assert told["given"] <= told["merged"] <= told["split"] and told["used"] == (told["gain_db"] > 0)
+    assert len(field) == (told["merged"] if told["used"] else told["given"])
+    assert told["off_affine_m"] <= told["off_affine_given_m"]
     picture, alpha = found.appearance.image(2, load_capture(folder).cameras[0])
     assert picture.shape == (128, 192, 3) and 0.02 < alpha.mean() < 0.6
 

@@ -70,6 +70,7 @@ def test_a_convex_field_moves_with_its_body(field_file, tmp_path):
         "time.frames=4",
         "basis.max_nodes=200",
         "basis.mesher=lattice",  # the other one does not repeat itself
+        "convexes.limit=0",
     )
     result = CliRunner().invoke(app, [field_file, "--out", str(out), "--video", "--json", *turn])
     assert result.exit_code == 0, result.output
@@ -129,6 +130,38 @@ def test_a_reconstruction_moves_as_its_closed_surface_and_takes_the_field_along(
     falls = (positions[0] - positions[-1])[:, 2].mean(), (fields[0].centres - fields[-1].centres)[:, 2].mean()
     assert falls[1].item() == pytest.approx(falls[0], rel=1e-4)  # the field goes with the body
     assert falls[0] == pytest.approx(0.5 * 9.81 * 0.125**2, rel=0.02)  # of few time steps
+
+
+def test_convexes_that_the_motion_bends_are_split(tmp_path):
+    """A long bar of two convexes that falls flat on a floor, on one end first, and so is bent."""
+    corners = torch.tensor([[x, y, z] for x in (-0.15, 0.15) for y in (-0.03, 0.03) for z in (-0.03, 0.03)])
+    points = torch.stack([corners, corners + torch.tensor([0.3, 0.0, 0.0])])
+    two = torch.ones(2)
+    write_ply(ConvexField(points, 200 * two, 2 * two, 0.9 * two, torch.zeros(2, 4, 3)), tmp_path / "bar.ply")
+    fall = [
+        "material.youngs_modulus=2.0e4",
+        "object.drop_height=0.001",
+        "object.angular_velocity=[0,4,0]",
+        "object.velocity=[0,0,-2]",
+        "time.frames=4",
+        "time.fps=60",
+        "convexes.deviation=0.002",
+        "basis.modes=4",
+        "basis.max_nodes=300",
+        "basis.mesher=lattice",
+    ]
+    found = {}
+    for name, more in (("split", ()), ("whole", ("convexes.limit=0",))):
+        out = tmp_path / name
+        result = CliRunner().invoke(app, [str(tmp_path / "bar.ply"), "--out", str(out), *settings(*fall, *more)])
+        assert result.exit_code == 0, result.output
+        assert ("convexes that the motion bends are split: 2 become" in result.output) == (name == "split")
+        (found[name],) = json.loads((out / "simulation.json").read_text())["summary"]["convexes"]
+        assert len(read_ply(out / "convexes" / "000003.ply")) == found[name]["merged"]
+    assert found["split"]["given"] == 2 < found["split"]["merged"] <= found["split"]["split"]
+    assert found["split"]["off_affine_m"] < 0.5 * found["split"]["off_affine_given_m"]
+    assert found["whole"]["merged"] == 2
+    assert found["whole"]["off_affine_m"] == pytest.approx(found["split"]["off_affine_given_m"], rel=1e-3)
 
 
 def test_a_refinement_brings_its_surface_and_material(cubes, tmp_path):
