@@ -76,7 +76,7 @@ def refined_motion(run: RefinementRun, full: FullModel, found: Fit, *, mesh: Tet
         nearer, moving = (better, again) if gap[1] < gap[0] else (fitted, reduced)
         return {"nodes": moved, "handles": moving.handles(), "weights": _weights(nearer), "gap": gap}
 
-    arrays = run.stages.run("motion", compute)
+    arrays = run.stages.run("motion" if options.stop_after is None else f"{options.stop_after}_motion", compute)
     moved = Embedding.of_points(body, np.concatenate([vertices, markers])).apply(arrays["nodes"])
     return RefinedMotion(
         times=capture.times,

@@ -56,7 +56,7 @@ from physconvex.reduced import parameter_values
 
 _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
 _NOT_FOLLOWED = 5.0  # standard deviations rms of one source, above which intervals are meaningless
-_WHERE = ("processes", "device")  # settings of where it is computed, which leave the result the same
+_WHERE = ("processes", "device", "stop_after")  # settings of where and how far, which leave each stage the same
 _FRICTION = (0.4, 0.3)  # prior, mean and standard deviation, of a floor whose friction is not stated
 _LEFT = 0.5  # of the difference between few and more nodes: remaining error of more nodes
 

@@ -31,6 +31,7 @@ _IN_WORDS = {  # of NAME, and of NAME_… unless that has its own
     "points": "following points in the videos",
     "network": "predicting by the network",
     "convex": "fitting the convex twin to the pixels",
+    "convex_motion": "predicting all frames",
     "convex_basis": "finding the weights of the convex twin",
     "convex_start": "comparing starts of the convex twin",
     "scan": "scanning Young's modulus",

@@ -150,6 +150,12 @@ def test_the_convex_twin_alone_tells_the_material_from_the_pixels(folder, tmp_pa
     again = []
     refine(folder, out=tmp_path, options=options, on_stage=lambda *stage: again.append(stage))
     assert all(stored for _, stored in again)
+    further = []
+    refine(
+        folder, out=tmp_path, options=options.replace(stop_after=None, convex=True),
+        on_stage=lambda *stage: further.append(stage),
+    )  # fmt: skip
+    assert ("convex_96", True) in further and ("motion", False) in further  # nothing is fitted twice
     with pytest.raises(InputError, match="stop_after is 'convex', but there is no video with masks, or no convex"):
         refine(folder, options=options.replace(field=False))
 
