@@ -33,11 +33,13 @@ from physconvex.identify import (
     with_weights,
 )
 from physconvex.io import Camera
+from physconvex.numerics import one_torch_thread
 from physconvex.reduced import NeuralWeights, NodalWeights, PredictedField, WeightField, predicted_weights
 
 CONVEX = "convex twin"
 # compared pixels across the object, coarse to fine
 _LEVELS = {pixels: FitOptions(max_iterations=n, relative_tolerance=1e-3) for pixels, n in ((24, 8), (48, 5), (96, 4))}
+_TURN = FitOptions(max_iterations=4, relative_tolerance=1e-3)  # after the weights are fitted
 _DRAWN = 0.01  # least opacity of a convex that is drawn
 _DRIFTS = (0.03, 0.1, 0.3)  # of the speed at the contact: deviations of each later frame's change of velocity
 
@@ -77,6 +79,7 @@ def convex_fit(
         return None
 
 
+@one_torch_thread()  # many small operations: threads wait for each other
 def _fitted(
     run: RefinementRun, problem: Problem, start: Fit, candidates: Sequence[np.ndarray], rest: RestField
 ) -> ConvexFit | None:
@@ -97,7 +100,7 @@ def _fitted(
         found = run.fit(f"convex_{pixels}", problem.parameters, partial(_search, problem, found, options))
     for turn in range(run.options.fit_weights):
         problem = _with_fitted_weights(run, problem, found, f"convex_weights_{turn}")
-        found = run.fit(f"convex_turn_{turn}", problem.parameters, partial(_search, problem, found, _LEVELS[96]))
+        found = run.fit(f"convex_turn_{turn}", problem.parameters, partial(_search, problem, found, _TURN))
     return ConvexFit(problem, found)
 
 

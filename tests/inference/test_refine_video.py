@@ -13,7 +13,7 @@ from inference import RefineOptions, refine, write_refinement
 from inference.refinement.appearance import fitted_field
 from physconvex import InputError
 from physconvex.convex import read_ply
-from physconvex.identify import Nuisance, ReducedModel, TwinOptions, base_twin, cast_camera_rays
+from physconvex.identify import FitOptions, Nuisance, ReducedModel, TwinOptions, base_twin, cast_camera_rays
 from physconvex.io import Capture, Floor, Tracks, load_capture, look_at, save_capture
 from physconvex.mesh import TetMesh, box_mesh
 
@@ -125,7 +125,8 @@ def test_the_convex_twin_alone_tells_the_material_from_the_pixels(folder, tmp_pa
     """Stages of the quick answer, which continues from what is stored, and its rows."""
     stages = []
     start = {"log10_youngs_modulus": 4.5, "poisson_ratio": 0.3}
-    options = RefineOptions(initial=start, **FEW | {"field_budget": 600, "field_steps": 40}, stop_after="convex")
+    options = RefineOptions(initial=start, **FEW | {"field_budget": 600, "field_steps": 40}, convex=True)
+    options = options.replace(stop_after="convex")
     found = refine(folder, out=tmp_path, options=options, on_stage=lambda *stage: stages.append(stage))
     names = [
         "points",
@@ -136,7 +137,7 @@ def test_the_convex_twin_alone_tells_the_material_from_the_pixels(folder, tmp_pa
         "convex_24",
         "convex_48",
         "convex_96",
-        "motion",
+        "convex_motion",
     ]
     assert stages == [(name, False) for name in names]
     assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.1)
@@ -152,7 +153,7 @@ def test_the_convex_twin_alone_tells_the_material_from_the_pixels(folder, tmp_pa
     assert all(stored for _, stored in again)
     further = []
     refine(
-        folder, out=tmp_path, options=options.replace(stop_after=None, convex=True),
+        folder, out=tmp_path, options=options.replace(stop_after=None),
         on_stage=lambda *stage: further.append(stage),
     )  # fmt: skip
     assert ("convex_96", True) in further and ("motion", False) in further  # nothing is fitted twice
@@ -162,12 +163,12 @@ def test_the_convex_twin_alone_tells_the_material_from_the_pixels(folder, tmp_pa
 
 @pytest.mark.slow
 def test_the_network_of_the_weights_is_fitted_to_the_pixels(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("inference.refinement.convex_stage._LEVELS", (24,))
+    monkeypatch.setattr("inference.refinement.convex_stage._LEVELS", {24: FitOptions(max_iterations=3)})
     start = {"log10_youngs_modulus": 4.4, "poisson_ratio": 0.35}
     options = RefineOptions(initial=start, **FEW, stop_after="convex", basis="neural", fit_weights=1)
     stages = []
     found = refine(folder, out=tmp_path, options=options, on_stage=lambda *stage: stages.append(stage))
-    assert [name for name, _ in stages[-4:]] == ["convex_24", "convex_weights_0", "convex_turn_0", "motion"]
+    assert [name for name, _ in stages[-4:]] == ["convex_24", "convex_weights_0", "convex_turn_0", "convex_motion"]
     assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.3)
     with pytest.raises(InputError, match="fit_weights: got 1 with basis 'elastic'; expected basis 'neural'"):
         RefineOptions(fit_weights=1)
