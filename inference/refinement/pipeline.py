@@ -37,6 +37,7 @@ from physconvex.identify import (
     FULL_OPTIONS,
     Fit,
     FullModel,
+    Identifiability,
     MarginalObservations,
     Twin,
     TwinOptions,
@@ -136,7 +137,11 @@ def _refined(run: RefinementRun) -> Refinement:
         if options.stop_after is not None:
             run.options = options.replace(correction=False)
             return _result(run, pixels.problem, told, reduced, rest, rows)
-        rows.append(StageEstimate.of(CONVEX, _estimates(pixels.problem, told)[0], _fixed(run, problem)))
+        rows.append(
+            StageEstimate.of(
+                CONVEX, _estimates(pixels.problem, told, identifiability(told.fit))[0], _fixed(run, problem)
+            )
+        )
         candidates = (pixels.found.values, *candidates)
     coarse: FullModel | None = None
     if options.own_derivatives:
@@ -183,14 +188,14 @@ def _network_row(run: RefinementRun) -> list[StageEstimate]:
 
 
 def _estimates(
-    problem: Problem, told: FitWithError, by_geometry: np.ndarray | None = None
+    problem: Problem, told: FitWithError, known: Identifiability, by_geometry: np.ndarray | None = None
 ) -> tuple[tuple[FittedParameter, ...], dict[str, float], tuple[str, ...]]:
     """The parameters with their intervals, the residuals by source, and notes on sources that are not followed."""
     found, seen = told.fit, problem.observed.observations
     rms = problem.observed.rms(seen.residuals(drifted(problem, found)))
     notes = tuple(_not_followed(rms))
     estimates = fitted_parameters(
-        found, told.left, identifiability(found), problem.seen.frames, seen.residual_slices,
+        found, told.left, known, problem.seen.frames, seen.residual_slices,
         by_geometry=by_geometry, stated=seen.stated, followed=not notes,
     )  # fmt: skip
     return estimates, rms, notes
@@ -214,7 +219,8 @@ def _result(
     appearance = appearance_of(motion, rest)
     appearance = None if appearance is None else with_split_convexes(appearance, run.capture)
     by_geometry = geometry_error(run, full, found, problem.seen)
-    estimates, rms, notes = _estimates(problem, told, by_geometry)
+    known = identifiability(found)
+    estimates, rms, notes = _estimates(problem, told, known, by_geometry)
     drift, fixed = drift_of(problem, found), _fixed(run, problem)
     run.warnings += [*notes, *(() if drift is None else drift.sentences())]
     last = StageEstimate.of("corrected" if run.options.correction else "reduced", estimates, fixed)
@@ -233,7 +239,7 @@ def _result(
         appearance=appearance,
         frame_errors=told.frame_errors,
         future_rms=future_rms(run.capture, motion),
-        identifiability=identifiability(found),
+        identifiability=known,
         history=found.history,
         reduced_values=reduced.values,
         full_runs=runs_of(full_runs or {}),

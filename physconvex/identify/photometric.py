@@ -90,7 +90,7 @@ class PhotometricObservations(EvaluatedObservations):
             camera: of the recorded frames.
             frames: the observed ones; the first shows the rest state.
             masks: where the object is seen.
-            field: convexes at rest [m]; those that are not drawn are left out.
+            field: convexes at rest [m] that are drawn.
             scale: of the compared images.
             blur: width of the Gaussian [compared pixels].
             exposure: whether gain and offset of each frame are free.
@@ -186,7 +186,7 @@ class PhotometricObservations(EvaluatedObservations):
         return view_colours(self.field.harmonics, directions)
 
     def _view(self, window: Sequence[int]) -> View:
-        """The part of the camera that is rendered: a margin for the blur around the window, with finer pixels."""
+        """The part of the camera that is rendered: the window, with finer pixels."""
         a, b, c, d = window
         camera = self.camera.resized(self.fine * self.camera.w, self.fine * self.camera.h)
         x, y = self.fine * c, self.fine * a
@@ -205,15 +205,13 @@ class PhotometricObservations(EvaluatedObservations):
         return self._rendered(self.field_at(points, view.position), view, self._behind(window))
 
     def _rendered(self, field: ConvexField, view: View, background: Tensor) -> Float[Tensor, "h w 3"]:
-        image = render(field, view, background=background).colour
-        height, width, fine = image.shape[0] // self.fine, image.shape[1] // self.fine, self.fine
-        return image.reshape(height, fine, width, fine, 3).mean(dim=(1, 3))
+        return self._averaged(render(field, view, background=background).colour)
 
-    def _drawn_at(self, images: Float[np.ndarray, "C H W"]) -> Float[np.ndarray, "C h w"]:
-        """Rendered channels as they are compared: averaged over areas."""
-        count, height, width = images.shape
-        parts = images.reshape(count, height // self.fine, self.fine, width // self.fine, self.fine)
-        return np.asarray(parts.mean(axis=(2, 4)))
+    def _averaged(self, images: Float[Tensor, "*B H W 3"]) -> Float[Tensor, "*B h w 3"]:
+        """Rendered images as they are compared: averaged over areas."""
+        height, width = images.shape[-3] // self.fine, images.shape[-2] // self.fine
+        parts = images.unflatten(-3, (height, self.fine)).unflatten(-2, (width, self.fine))
+        return parts.mean(dim=(-4, -2))
 
     def blurred(self, image: np.ndarray) -> np.ndarray:
         """A window [h, w, ...], blurred; the border repeats."""
@@ -234,7 +232,7 @@ class PhotometricObservations(EvaluatedObservations):
             rows = slice(window[0], window[1]), slice(window[2], window[3])
             drawn, slopes = self._drawn(positions[frame], None if tangents is None else tangents[frame], window)
             seen = self.blurred(self.images[frame][rows])
-            value, slopes = self._balanced(seen, self.blurred(drawn), self.blurred(slopes), self.background[rows])
+            value, slopes = self._balanced(seen, self.blurred(drawn), self.blurred(slopes))
             residuals.append(value.ravel() / self.sigma)
             jacobian.append(slopes.reshape(value.size, count) / self.sigma)
         return np.concatenate(residuals), np.concatenate(jacobian)
@@ -244,7 +242,6 @@ class PhotometricObservations(EvaluatedObservations):
     ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w 3 K"]]:
         """A window as rendered, and its derivatives."""
         view, kind = self._view(window), self.field.points
-        a, b, c, d = window
         moved, background = torch.as_tensor(points).to(kind).reshape(kind.shape), self._behind(window)
         with torch.no_grad():
             field = self.field_at(moved, view.position)
@@ -264,13 +261,10 @@ class PhotometricObservations(EvaluatedObservations):
             return replace(field, points=points, harmonics=harmonics), view
 
         found = render_jacobian(scene, kind.new_zeros(len(along)), background=background).colour  # [K, H, W, 3]
-        flat = found.permute(0, 3, 1, 2).flatten(0, 1).numpy()
-        rates = self._drawn_at(flat).reshape(len(along), 3, b - a, d - c).transpose(2, 3, 1, 0)
+        rates = self._averaged(found).permute(1, 2, 3, 0).numpy()
         return drawn, rates * sizes
 
-    def _balanced(
-        self, seen: np.ndarray, drawn: np.ndarray, slopes: np.ndarray, background: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _balanced(self, seen: np.ndarray, drawn: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Drawn less seen, and its derivatives, after the fit of a gain and an offset of the drawn colours."""
         difference = np.asarray(drawn - seen, dtype=np.float64)
         slopes = np.asarray(slopes, dtype=np.float64)
