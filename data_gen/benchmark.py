@@ -155,7 +155,7 @@ def _make(out: Path, name: str, path: Path, options: BenchmarkOptions, rng: np.r
     front = _write_pictures(out, name, take, moved, cameras)
     chosen = np.sort(rng.choice(len(body.vertices), min(POINTS, len(body.vertices)), replace=False))
     arrays = {"rest": body.vertices[chosen], "positions": moved[:, chosen]}
-    for change in changes_of(scene):
+    for change in changes_of(scene) if options.changed else ():
         arrays[f"positions_{change}"] = take.moved(mesh, changed(scene, change))[:, chosen]
     folder = out / "truth" / name
     np.savez_compressed(folder / "points.npz", **arrays)  # type: ignore[arg-type]

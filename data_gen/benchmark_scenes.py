@@ -57,6 +57,8 @@ class BenchmarkOptions(Options):
     """Time steps of the truth per frame."""
     checked: Annotated[bool, CommandLine("--check/--no-check")] = True
     """Measure how half the nodes and half the steps change the motion."""
+    changed: Annotated[bool, CommandLine("--changes/--no-changes")] = True
+    """Move every object also under changed conditions (softer, pushed, moving floor)."""
     log10_modulus: Annotated[tuple[float, float], CommandLine("--modulus")] = (4.0, 7.0)
     """Range of log10 E, E in Pa."""
     poisson_ratio: Annotated[tuple[float, float], CommandLine(hidden=True)] = (0.2, 0.49)

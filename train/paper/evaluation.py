@@ -354,7 +354,7 @@ class _Object:
         points = Embedding.of_points(found.motion.mesh, model.points)
         out = {}
         with np.load(self.truth / "points.npz") as arrays:
-            for change in changes_of(usual.scene):
+            for change in [name for name in changes_of(usual.scene) if f"positions_{name}" in arrays]:
                 run = simulate(changed(usual.scene, change), usual.timing)
                 gap = points.apply(run.positions) - arrays[f"positions_{change}"]
                 moved = arrays[f"positions_{change}"] - arrays["positions"]
