@@ -72,6 +72,9 @@ def paper_command(
     benchmark: Annotated[Path, typer.Argument(help="Folder of `physconvex generate benchmark`.")],
     out: Annotated[Path, typer.Option(help="Folder of the results; finished parts are reused.")] = Path("paper"),
     name: Annotated[list[str] | None, typer.Option(help="Evaluate only this object; repeatable. Default: all.")] = None,
+    part: Annotated[
+        list[str] | None, typer.Option(help="Compute only this part, such as convex_twin; repeatable. Default: all.")
+    ] = None,
     comparisons: Annotated[
         bool, typer.Option(help="Also run the method of the paper and the ablations over M and K.")
     ] = True,
@@ -92,7 +95,7 @@ def paper_command(
         if not no_progress:
             print(f"physconvex evaluate paper: {name}: {part} …", file=sys.stderr, flush=True)
 
-    rows = evaluate_paper(benchmark, out, options, names=name, comparisons=comparisons, on_part=say)
+    rows = evaluate_paper(benchmark, out, options, names=name, parts=part, comparisons=comparisons, on_part=say)
     made = json.loads((benchmark / "benchmark.json").read_text(encoding="utf-8"))["options"]
     note = (
         f"{len(rows)} of {made['count']} objects, {made['size']}² pixels, {made['views']} views, "

@@ -41,6 +41,7 @@ def evaluate_paper(
     options: PaperOptions | None = None,
     *,
     names: Sequence[str] | None = None,
+    parts: Sequence[str] | None = None,
     comparisons: bool = True,
     on_part: Callable[[str, str], None] | None = None,
 ) -> list[ObjectRow]:
@@ -51,6 +52,7 @@ def evaluate_paper(
         out: folder of the results.
         options: sizes.
         names: of the objects to evaluate; None: all. The result includes other objects as far as they are evaluated.
+        parts: the parts to compute now, such as "convex_twin"; None: all. What they need is computed with them.
         comparisons: also the published method and the parts over M and K, after everything else.
         on_part: called with the object and the part at its start.
 
@@ -58,7 +60,7 @@ def evaluate_paper(
         Content of `OUT/objects/NAME.json`.
 
     Raises:
-        InputError: no benchmark, an unknown name, or `out` holds an evaluation with other options.
+        InputError: no benchmark, an unknown name or part, or `out` holds an evaluation with other options.
     """
     options = options or PaperOptions()
     claim = benchmark / "benchmark.json"
@@ -73,7 +75,7 @@ def evaluate_paper(
     made = [name for name in names or every if (benchmark / "truth" / name / "truth.json").exists()]
     for comparing in (False, True) if comparisons else (False,):  # first the main tables, for all objects
         for name in made:
-            _Object(benchmark, out, name, options, on_part).evaluate(comparing)
+            _Object(benchmark, out, name, options, on_part).evaluate(comparing, parts)
     files = [out / "objects" / f"{name}.json" for name in every]
     return [ObjectRow.read(file) for file in files if file.exists()]
 
@@ -113,12 +115,17 @@ class _Object:
         self.aside = np.zeros(2)
         self.row = ObjectRow.read(self.file) if self.file.exists() else ObjectRow(name)
 
-    def evaluate(self, comparing: bool) -> None:
+    def evaluate(self, comparing: bool, wanted: Sequence[str] | None) -> None:
+        unknown = sorted(set(wanted or ()) - {part for part, _ in (*self._main(), *self._comparisons())})
+        if unknown:
+            known = ", ".join(part for part, _ in (*self._main(), *self._comparisons()))
+            raise InputError(f"parts: {', '.join(unknown)}: unknown; expected some of {known}")
         self.row.truth = {name: self._true(name) for name in NAMES}
         self.row.truth_itself = self._truth_itself()
         self.row.write(self.file)
         for part, compute in self._comparisons() if comparing else self._main():
-            self._part(part, compute)
+            if wanted is None or part in wanted:
+                self._part(part, compute)
 
     def _main(self) -> list[tuple[str, Callable[[], PaperPart]]]:
         return [
