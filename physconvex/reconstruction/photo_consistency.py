@@ -20,6 +20,7 @@ from torch.nn.functional import grid_sample
 from physconvex.io import Camera
 from physconvex.reconstruction.carving import footprint, hull_distance
 from physconvex.reconstruction.observation import Observation
+from physconvex.reconstruction.outline_fit import outline_displacements
 
 ROUNDS, FIRST_REACH, NARROWER = 4, 3.0, 0.7  # of the search; its first reach [cells], and the factor per round
 STEPS = 6  # offsets on either side
@@ -31,10 +32,9 @@ HIDDEN = 2.5  # cells behind the nearest surface
 DARK = 0.01  # standard deviation of colour that is noise
 SHARED = 2  # rounds of averages of the correlation over neighbours
 TELLING = 0.2  # excess of the best correlation over the median that tells all
-RIM = 0.3  # cells: a vertex that near to the hull's surface is on a silhouette
-# weights of the displacement: of a full agreement (1), of a silhouette, of the old place where the pictures say nothing
+# weights of the displacement: of a full agreement (1), of an outline, of the old place where the pictures say nothing
 # and where one or none shows it; of the bending of the whole, and of the membrane where one or none shows it
-ON_RIM, UNSURE, UNSEEN, BENDING, MEMBRANE = 0.3, 0.002, 1e-5, 0.05, 0.003
+ON_OUTLINE, UNSURE, UNSEEN, BENDING, MEMBRANE = 0.5, 0.002, 1e-5, 0.05, 0.003
 
 
 def moved_to_agreement(
@@ -51,15 +51,16 @@ def moved_to_agreement(
     for turn in range(ROUNDS):
         normals, vertices = np.asarray(surface.vertex_normals), np.asarray(surface.vertices)
         offsets = FIRST_REACH * cell * NARROWER**turn * np.arange(-STEPS, STEPS + 1) / STEPS
-        cosines = _cosines(surface, observations, cell)
+        towards = facing(surface, observations, cell=cell)
+        cosines = _shown(towards)
         views = (cosines > 0).sum(axis=1)
         offset, certain = _best_offsets(_correlations(surface, observations, cosines, offsets), offsets, means)
         beyond = hull_distance(observations, vertices)
-        rim = (np.abs(beyond) < RIM * cell) & (views > 0)
-        held = np.where(rim, ON_RIM, np.where(views < AGREE, UNSEEN, UNSURE))
-        kept = vertices - np.maximum(beyond, 0)[:, None] * normals
-        wanted = held[:, None] * kept + certain[:, None] * (vertices + offset[:, None] * normals)
-        stiffness = sparse.diags(held + certain) + _smoothness(edges, means, views < AGREE)
+        missing, outlines = outline_displacements(surface, observations, towards, cell=cell)
+        held, drawn = np.where(views < AGREE, UNSEEN, UNSURE), ON_OUTLINE * outlines
+        along = -held * np.maximum(beyond, 0) + certain * offset + drawn * missing
+        wanted = (held + certain + drawn)[:, None] * vertices + along[:, None] * normals
+        stiffness = sparse.diags(held + certain + drawn) + _smoothness(edges, means, views < AGREE)
         surface = trimesh.Trimesh(splu(stiffness.tocsc()).solve(wanted), surface.faces, process=False)
     return surface
 
@@ -110,8 +111,12 @@ def facing(surface: trimesh.Trimesh, observations: Sequence[Observation], *, cel
 
 def _cosines(surface: trimesh.Trimesh, observations: Sequence[Observation], cell: float) -> Float[np.ndarray, "V C"]:
     """Cosine between normal and ray to each camera; zero if hidden or grazing."""
-    cosines = facing(surface, observations, cell=cell)
-    return np.where(cosines > STEEPEST, cosines, 0.0)
+    return _shown(facing(surface, observations, cell=cell))
+
+
+def _shown(towards: Float[np.ndarray, "V C"]) -> Float[np.ndarray, "V C"]:
+    """Cosines, zero where hidden or grazing."""
+    return np.where(towards > STEEPEST, towards, 0.0)
 
 
 def _sampled(seen: Observation, positions: Float[np.ndarray, "... 3"]) -> Float[Tensor, "... 3"]:
