@@ -33,6 +33,7 @@ from train.paper.rows import Change, ObjectRow, PaperPart, PictureScores
 
 CONSTANT = (5.5, 0.345)  # the middle of the ranges 1e4 to 1e7 Pa and .2 to .49
 POINTS = 6  # per convex, of the main columns
+VIEWS = 4  # whose pictures are scored: the front one, and others evenly around the object
 
 
 def evaluate_paper(
@@ -110,7 +111,8 @@ class _Object:
         self.truth = benchmark / "truth" / name
         self.work, self.file = out / "work" / name, out / "objects" / f"{name}.json"
         self.true = json.loads((self.truth / "truth.json").read_text(encoding="utf-8"))
-        self.cameras = [Camera.from_json(c) for c in json.loads((self.truth / "cameras.json").read_text("utf-8"))]
+        cameras = [Camera.from_json(c) for c in json.loads((self.truth / "cameras.json").read_text("utf-8"))]
+        self.cameras = [cameras[k] for k in sorted({k * len(cameras) // VIEWS for k in range(VIEWS)})]
         self.corrected: Refinement | None = None
         self.aside = np.zeros(2)
         self.row = ObjectRow.read(self.file) if self.file.exists() else ObjectRow(name)
