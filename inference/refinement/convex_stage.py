@@ -41,7 +41,8 @@ CONVEX = "convex twin"
 _LEVELS = {pixels: FitOptions(max_iterations=n, relative_tolerance=1e-3) for pixels, n in ((24, 8), (48, 5), (96, 4))}
 _TURN = FitOptions(max_iterations=4, relative_tolerance=1e-3)  # after the weights are fitted
 _DRAWN = 0.01  # least opacity of a convex that is drawn
-_DRIFTS = (0.03, 0.1, 0.3)  # of the speed at the contact: deviations of each later frame's change of velocity
+_DRIFTS = (0.01, 0.03, 0.1, 0.3)  # of the speed at the contact: deviations of each later frame's change of velocity
+_ENOUGH = 1.5  # the smallest drift is taken whose least misfit is at most so many times that of any
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,11 +131,13 @@ def _with_fitted_weights(run: RefinementRun, problem: Problem, found: Fit, stage
 
 
 def _begun(run: RefinementRun, problem: Problem, start: Fit, candidates: Sequence[np.ndarray]) -> tuple[Problem, Fit]:
-    """The problem with its likely drift after the rebound, and the most likely of the candidates.
+    """The problem with its drift after the rebound, and the most likely of the candidates.
 
     Followed points and outlines decide, since pixels see only near motions. A model of few weights rebounds otherwise
-    than the body, by a part of the speed at the contact.
+    than the body, by a part of the speed at the contact. Drift that explains every rebound would leave E to the small
+    deformation alone, so the smallest is taken that explains about as much.
     """
+    candidates = list({tuple(np.round(values, 6)): values for values in reversed(candidates)}.values())
     found = run.stages.run("convex_start", lambda: _started(run, problem, candidates))
     values = candidates[int(found["best"])]
     drift = tuple(found["drift"].tolist())
@@ -145,12 +148,26 @@ def _begun(run: RefinementRun, problem: Problem, start: Fit, candidates: Sequenc
 
 def _started(run: RefinementRun, problem: Problem, candidates: Sequence[np.ndarray]) -> Arrays:
     trials = run.workers.map(partial(_likelihoods, problem, run.options.drift), candidates)
-    best = int(np.argmax([max(likelihoods) for likelihoods, _ in trials]))
-    likelihoods, drifts = trials[best]
-    if not np.isfinite(likelihoods).any():
+    if not any(np.isfinite(likelihoods).any() for likelihoods, _ in trials):
         raise ConvergenceError("convex twin: the body cannot be simulated at any start")
-    drift = drifts[int(np.argmax(likelihoods))]
+    best, size = _least_drift([likelihoods for likelihoods, _ in trials])
+    drift = trials[best][1][size]
     return {"best": np.array(best), "drift": np.array([] if drift is None else drift)}
+
+
+def _least_drift(likelihoods: Sequence[Sequence[float]]) -> tuple[int, int]:
+    """Candidate and size of drift: the smallest size at which a candidate fits about as well as any at any size.
+
+    Args:
+        likelihoods: log-likelihoods of each candidate, by sizes in ascending order; negative.
+    """
+    most = max(max(row) for row in likelihoods)
+    for size in range(max(len(row) for row in likelihoods)):
+        column = [row[size] if size < len(row) else -np.inf for row in likelihoods]
+        best = int(np.argmax(column))
+        if column[best] >= _ENOUGH * most:
+            return best, size
+    raise AssertionError("one of them is the most likely")
 
 
 def _likelihoods(

@@ -51,34 +51,27 @@ class Nuisance(Options):
 
 @dataclass(frozen=True, eq=False)
 class Elimination:
-    """(I + N Nᵀ)^(−½) and the determinant, by the singular values of N.
+    """(I + N Nᵀ)^(−½) = I + N K Nᵀ and its determinant, from the Gram matrix Nᵀ N alone, which is small.
 
     Attributes:
-        left: left singular vectors, shape [N, C].
-        values: singular values, shape [C].
+        inner: K, shape [C, C].
+        eigenvalues: of the Gram matrix, shape [C].
     """
 
-    left: Float[np.ndarray, "N C"]
-    values: Float[np.ndarray, " C"]
+    inner: Float[np.ndarray, "C C"]
+    eigenvalues: Float[np.ndarray, " C"]
 
     @classmethod
-    def of(cls, directions: Float[np.ndarray, "N C"]) -> Elimination:
+    def of(cls, gram: Float[np.ndarray, "C C"]) -> Elimination:
         """For unknowns with unit variance; the columns of N are the residuals' derivatives by them."""
-        if not directions.shape[1]:
-            return cls(np.zeros_like(directions), np.zeros(0))
-        basis, triangle = np.linalg.qr(directions)  # tall: much faster than its singular values at once
-        turn, values, _ = np.linalg.svd(triangle)
-        return cls(basis @ turn, values)
-
-    def whitened(self, columns: Float[np.ndarray, "N K"]) -> Float[np.ndarray, "N K"]:
-        """(I + N Nᵀ)^(−½) times the columns."""
-        shrunk = 1 / np.sqrt(1 + self.values**2) - 1
-        return np.asarray(columns + self.left @ (shrunk[:, None] * (self.left.T @ columns)))
+        values, vectors = np.linalg.eigh(gram)
+        root = np.sqrt(1 + np.maximum(values, 0.0))
+        return cls(-(vectors / (root * (1 + root))) @ vectors.T, np.maximum(values, 0.0))
 
     @property
     def log_determinant(self) -> float:
         """log det(I + N Nᵀ)."""
-        return float(np.log1p(self.values**2).sum())
+        return float(np.log1p(self.eigenvalues).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +126,9 @@ class MarginalObservations(WrappedObservations):
         return dict(zip(self.names, map(float, found), strict=True))
 
     def _whitened(self, columns: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        return Elimination.of(self._directions(positions)[0]).whitened(columns)
+        directions, _ = self._directions(positions)
+        inner = Elimination.of(directions.T @ directions).inner
+        return np.asarray(columns + directions @ (inner @ (directions.T @ columns)))
 
     def _directions(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """N Σ^½ [N, C], and Σ^½ [C]."""

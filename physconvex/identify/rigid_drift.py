@@ -41,6 +41,7 @@ from physconvex.io import Workers
 from physconvex.numerics import best_rotation, huber_loss, huber_weights
 
 _TURNS, _SETTLED = 6, 1e-3  # Gauss–Newton steps of the kicks; the last one's size in standard deviations
+_SLOW = 0.5  # a step that is longer than so much of the last one: derivatives are computed again
 _DRAWN = 2  # first steps, in which the model's outline is found again
 _SHARES = (0.03, 0.1, 0.3, 1.0)  # values of q that are tried, as shares of the largest
 _TOUCH = 2e-3  # of the body's size
@@ -106,8 +107,9 @@ class RigidDriftObservations(WrappedObservations):
         kicks = self._kicks(positions)
         fitted = self._fitted(positions, kicks)
         residuals, jacobian, slopes = self._by_kicks(self.seen, kicks.moved(positions, fitted), kicks, tangents)
-        columns = np.hstack([(residuals - slopes @ fitted)[:, None], jacobian])
-        columns = Elimination.of(slopes).whitened(columns)
+        columns = np.hstack([(residuals - slopes.along(fitted[:, None])[:, 0])[:, None], jacobian])
+        inner = Elimination.of(slopes.gram()).inner
+        columns = columns + slopes.along(inner @ slopes.across(columns))
         return columns[:, 0], columns[:, 1:]
 
     def drift(self, positions: Positions) -> Float[np.ndarray, "T P 3"]:
@@ -137,7 +139,7 @@ class RigidDriftObservations(WrappedObservations):
         fitted = self._fitted(positions, kicks)
         residuals, _, slopes = self._by_kicks(self.seen, kicks.moved(positions, fitted), kicks)
         loss = huber_loss(residuals, self.robust_scales)
-        return -loss - 0.5 * float(fitted @ fitted) - 0.5 * Elimination.of(slopes).log_determinant
+        return -loss - 0.5 * float(fitted @ fitted) - 0.5 * Elimination.of(slopes.gram()).log_determinant
 
     def _kicks(self, positions: np.ndarray, others: np.ndarray | None = None, kicked: int | None = None) -> _Kicks:
         """Displacements of the points, or of others, by the kicks of the first `kicked` frames, each of size q."""
@@ -151,8 +153,8 @@ class RigidDriftObservations(WrappedObservations):
 
     def _by_kicks(
         self, seen: Observations, moved: np.ndarray, kicks: _Kicks, tangents: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residuals [N], derivatives by the parameters [N, K] and by the kicks [N, C], at the moved points.
+    ) -> tuple[np.ndarray, np.ndarray, _Slopes]:
+        """Residuals [N], derivatives by the parameters [N, K] and by the kicks, at the moved points.
 
         A residual depends on kicks only by the six rigid motions of its own frame, unless nuisances couple frames.
         """
@@ -161,10 +163,12 @@ class RigidDriftObservations(WrappedObservations):
         both = fields if tangents is None else np.concatenate([tangents, fields], axis=1)
         residuals, jacobian = seen.linearise(moved, both)
         by_parameters, by_fields = np.split(jacobian, [both.shape[1] - fields.shape[1]], axis=1)
-        if not alone:
-            return residuals, by_parameters, by_fields
-        slopes = kicks.times[seen.frames][:, :, None] * by_fields[:, None, :]
-        return residuals, by_parameters, slopes.reshape(len(residuals), -1)
+        times, frames = (kicks.times, seen.frames) if alone else (np.ones((1, 1)), np.zeros(len(residuals), int))
+        return (
+            residuals,
+            by_parameters,
+            _Slopes(times, by_fields, [np.flatnonzero(frames == t) for t in range(len(times))]),
+        )
 
     def _fitted(self, positions: np.ndarray, kicks: _Kicks) -> np.ndarray:
         """The most likely kicks, in units of q. Followed points and outlines find them first, as pixels see only near
@@ -179,18 +183,29 @@ class RigidDriftObservations(WrappedObservations):
         return self._settled(self.seen, positions, kicks, found)
 
     def _settled(self, seen: Observations, positions: np.ndarray, kicks: _Kicks, found: np.ndarray) -> np.ndarray:
-        """Gauss–Newton steps from given kicks; outlines are found again in the first steps only."""
-        limits, drawn = seen.robust_scales, seen
+        """Gauss–Newton steps from given kicks; outlines are found again in the first steps only.
+
+        Derivatives are kept while steps shrink fast: those of rendered pixels cost several images each.
+        """
+        limits, drawn, last = seen.robust_scales, seen, np.inf
+        slopes: _Slopes | None = None
         for turn in range(_TURNS if kicks.count else 0):
             moved = kicks.moved(positions, found)
             if turn < _DRAWN:
                 drawn = with_drawn_outlines(seen, moved)
-            residuals, _, slopes = self._by_kicks(drawn, moved, kicks)
-            weighted = slopes * huber_weights(residuals, limits)[:, None]
-            change = np.linalg.solve(weighted.T @ slopes + np.eye(len(found)), weighted.T @ residuals + found)
-            found = found - change
-            if np.abs(change).max() < _SETTLED:
+            if slopes is None:
+                residuals, _, slopes = self._by_kicks(drawn, moved, kicks)
+            else:
+                residuals = drawn.residuals(moved)
+            weights = huber_weights(residuals, limits)
+            gradient = slopes.across((weights * residuals)[:, None])[:, 0] + found
+            change = np.linalg.solve(slopes.gram(weights) + np.eye(len(found)), gradient)
+            found, size = found - change, float(np.abs(change).max())
+            if size < _SETTLED:
                 break
+            if size > _SLOW * last:
+                slopes = None
+            last = size
         return found
 
 
@@ -237,6 +252,44 @@ class _Kicks:
         """The points [T, P, 3] after kicks [C]."""
         amounts = self.times @ kicks.reshape(-1, 6)  # [T, 6]
         return np.asarray(points + np.einsum("ta,tapi->tpi", amounts, self.moves))
+
+
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Derivatives N of residuals by kicks, [N, C]: of residual n in frame t by kick (k, a), times[t, k] fields[n, a].
+
+    Attributes:
+        times: shape [T, K].
+        fields: shape [N, A].
+        rows: the residuals of each frame.
+    """
+
+    times: np.ndarray
+    fields: np.ndarray
+    rows: list[np.ndarray]
+
+    def gram(self, weights: np.ndarray | None = None) -> Float[np.ndarray, "C C"]:
+        """Nᵀ diag(weights) N."""
+        parts = [self.fields[rows] for rows in self.rows]
+        weighted = (
+            parts if weights is None else [f * weights[r][:, None] for f, r in zip(parts, self.rows, strict=True)]
+        )
+        blocks = np.stack([a.T @ b for a, b in zip(weighted, parts, strict=True)])
+        count = self.times.shape[1] * self.fields.shape[1]
+        return np.einsum("tk,tl,tab->kalb", self.times, self.times, blocks, optimize=True).reshape(count, count)
+
+    def across(self, columns: Float[np.ndarray, "N K"]) -> Float[np.ndarray, "C K"]:
+        """Nᵀ times the columns."""
+        blocks = np.stack([self.fields[rows].T @ columns[rows] for rows in self.rows])
+        return np.einsum("tk,tac->kac", self.times, blocks).reshape(-1, columns.shape[1])
+
+    def along(self, kicks: Float[np.ndarray, "C K"]) -> Float[np.ndarray, "N K"]:
+        """N times kicks."""
+        amounts = np.einsum("tk,kac->tac", self.times, kicks.reshape(self.times.shape[1], -1, kicks.shape[1]))
+        out = np.zeros((len(self.fields), kicks.shape[1]))
+        for rows, amount in zip(self.rows, amounts, strict=True):
+            out[rows] = self.fields[rows] @ amount
+        return out
 
 
 def likely_drift(
