@@ -150,12 +150,12 @@ def _started(run: RefinementRun, problem: Problem, candidates: Sequence[np.ndarr
     trials = run.workers.map(partial(_likelihoods, problem, run.options.drift), candidates)
     if not any(np.isfinite(likelihoods).any() for likelihoods, _ in trials):
         raise ConvergenceError("convex twin: the body cannot be simulated at any start")
-    best, size = _least_drift([likelihoods for likelihoods, _ in trials])
+    best, size = least_drift([likelihoods for likelihoods, _ in trials])
     drift = trials[best][1][size]
     return {"best": np.array(best), "drift": np.array([] if drift is None else drift)}
 
 
-def _least_drift(likelihoods: Sequence[Sequence[float]]) -> tuple[int, int]:
+def least_drift(likelihoods: Sequence[Sequence[float]]) -> tuple[int, int]:
     """Candidate and size of drift: the smallest size at which a candidate fits about as well as any at any size.
 
     Args:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from inference import RefineOptions, refine
+from inference.refinement.convex_stage import least_drift
 from physconvex.fem import SurfacePoints
 from physconvex.identify import FullModel, TwinOptions, base_twin
 from physconvex.io import Capture, Floor, Tracks, load_capture, save_capture
@@ -64,3 +65,10 @@ def test_where_the_model_follows_there_is_none(captures):
     found = refine(captures[0], options=OPTIONS)
     assert found.drift is None
     assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH[0], abs=0.01)
+
+
+def test_the_smallest_drift_is_taken_that_explains_about_as_much():
+    """Two candidates, without drift and with two sizes: much drift hides which of them is right."""
+    assert least_drift([[-900.0, -150.0, -100.0], [-700.0, -120.0, -105.0]]) == (1, 1)
+    assert least_drift([[-900.0, -150.0, -60.0], [-700.0, -120.0, -65.0]]) == (0, 2)  # only much drift explains it
+    assert least_drift([[-np.inf], [-9.0, -8.0, -7.0]]) == (1, 0)  # one cannot be simulated; the other needs no drift
