@@ -217,7 +217,8 @@ def _result(
     found, full = told.fit, full or problem.full(run.memory)
     motion = refined_motion(run, full, found, mesh=told.mesh)
     appearance = appearance_of(motion, rest)
-    appearance = None if appearance is None else with_split_convexes(appearance, run.capture)
+    if appearance is not None and run.options.stop_after is None:  # an early answer is to be quick
+        appearance = with_split_convexes(appearance, run.capture)
     by_geometry = geometry_error(run, full, found, problem.seen)
     known = identifiability(found)
     estimates, rms, notes = _estimates(problem, told, known, by_geometry)
