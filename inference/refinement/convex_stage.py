@@ -45,6 +45,10 @@ _DRIFTS = (0.01, 0.03, 0.1, 0.3)  # of the speed at the contact: deviations of e
 _ENOUGH = 1.5  # the smallest drift is taken whose least misfit is at most so many times that of any
 
 
+_MODULUS = "log10_youngs_modulus"
+_STEPS, _MOVES, _NEAR = (0.2, 0.1), 6, 0.31  # decades: of the search of E, most of each; part of the parabola
+
+
 @dataclass(frozen=True, eq=False)
 class ConvexFit:
     """The problem of the convex twin at the finest images, and its fit."""
@@ -131,19 +135,20 @@ def _with_fitted_weights(run: RefinementRun, problem: Problem, found: Fit, stage
 
 
 def _begun(run: RefinementRun, problem: Problem, start: Fit, candidates: Sequence[np.ndarray]) -> tuple[Problem, Fit]:
-    """The problem with its drift after the rebound, and the most likely of the candidates.
+    """The problem with its drift after the rebound, and the most likely start.
 
     Followed points and outlines decide, since pixels see only near motions. A model of few weights rebounds otherwise
     than the body, by a part of the speed at the contact. Drift that explains every rebound would leave E to the small
     deformation alone, so the smallest is taken that explains about as much.
     """
-    candidates = list({tuple(np.round(values, 6)): values for values in reversed(candidates)}.values())
+    candidates = list({tuple(np.round(values, 6)): values for values in candidates}.values())
     found = run.stages.run("convex_start", lambda: _started(run, problem, candidates))
-    values = candidates[int(found["best"])]
-    drift = tuple(found["drift"].tolist())
-    if drift:
-        problem = replace(problem, drift=drift[1], drift_limit=(int(drift[0]), drift[1]))
-    return problem, start if values is start.values else replace(start, values=values)
+    return _with_drift(problem, tuple(found["drift"].tolist())), replace(start, values=found["values"])
+
+
+def _with_drift(problem: Problem, drift: tuple[float, ...]) -> Problem:
+    """The problem with a drift from a frame on, of a size; without any, if there is none."""
+    return replace(problem, drift=drift[1], drift_limit=(int(drift[0]), drift[1])) if drift else problem
 
 
 def _started(run: RefinementRun, problem: Problem, candidates: Sequence[np.ndarray]) -> Arrays:
@@ -151,8 +156,52 @@ def _started(run: RefinementRun, problem: Problem, candidates: Sequence[np.ndarr
     if not any(np.isfinite(likelihoods).any() for likelihoods, _ in trials):
         raise ConvergenceError("convex twin: the body cannot be simulated at any start")
     best, size = least_drift([likelihoods for likelihoods, _ in trials])
-    drift = trials[best][1][size]
-    return {"best": np.array(best), "drift": np.array([] if drift is None else drift)}
+    drift = trials[best][1][size] or ()
+    values = np.asarray(candidates[best], dtype=np.float64)
+    if _MODULUS in problem.names:
+        values = _searched(run, _with_drift(problem, drift), values)
+    return {"values": values, "drift": np.array(drift)}
+
+
+def _searched(run: RefinementRun, problem: Problem, values: np.ndarray) -> np.ndarray:
+    """The values with the most likely log10 E: contacts make the likelihood rough, so a parabola is laid through it."""
+    place, tried = problem.names.index(_MODULUS), dict[float, float]()
+
+    def try_at(moduli: Sequence[float]) -> None:
+        new = [modulus for modulus in moduli if modulus not in tried]
+        found = run.workers.map(partial(_likelihood, problem), [_replaced(values, place, m) for m in new])
+        tried.update(zip(new, found, strict=True))
+
+    best = float(values[place])
+    try_at([best])
+    for step in _STEPS:
+        for _ in range(_MOVES):
+            try_at([round(best - step, 6), round(best + step, 6)])
+            last, best = best, max(tried, key=tried.__getitem__)
+            if best == last:
+                break
+    near = np.array([pair for pair in tried.items() if abs(pair[0] - best) <= _NEAR and np.isfinite(pair[1])])
+    if len(near) > 3:
+        curvature, slope, _ = np.polyfit(near[:, 0] - best, near[:, 1], 2)
+        if curvature < 0:
+            best += float(np.clip(-slope / (2 * curvature), -_NEAR, _NEAR))
+    return _replaced(values, place, best)
+
+
+def _replaced(values: np.ndarray, place: int, value: float) -> np.ndarray:
+    out = values.copy()
+    out[place] = value
+    return out
+
+
+def _likelihood(problem: Problem, values: np.ndarray) -> float:
+    """Log-likelihood of values, the drift integrated out; −∞ if the body cannot be simulated."""
+    try:
+        positions = problem.reduced().positions(values)
+    except ConvergenceError:
+        return -np.inf
+    seen = problem.seen
+    return seen.log_likelihood(positions) if isinstance(seen, RigidDriftObservations) else -misfit_of(seen, positions)
 
 
 def least_drift(likelihoods: Sequence[Sequence[float]]) -> tuple[int, int]:
