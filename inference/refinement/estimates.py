@@ -170,6 +170,7 @@ def with_model_error(
 
 
 def with_reduction_error(run: RefinementRun, pixels: ConvexFit) -> FitWithError:
-    """The convex twin's fit, with the error that its few weights leave on average."""
-    left = np.array([_BY_REDUCTION.get(p.name, np.nan) for p in pixels.found.parameters])
+    """The convex twin's fit, with the error that its few weights leave on average, or the network's of its ν."""
+    errors = _BY_REDUCTION | ({} if pixels.ratio_sigma is None else {"poisson_ratio": pixels.ratio_sigma})
+    left = np.array([errors.get(p.name, np.nan) for p in pixels.found.parameters])
     return FitWithError(pixels.found, left, np.zeros(run.capture.observed_frames))

@@ -137,6 +137,11 @@ def interval_of(value: float, sigma: float, lower: float, upper: float) -> tuple
     return max(value - _NINETY * sigma, lower), min(value + _NINETY * sigma, upper)
 
 
+def deviation_of(interval: tuple[float, float]) -> float:
+    """Standard deviation of a normal distribution with those 90 %."""
+    return (interval[1] - interval[0]) / (2 * _NINETY)
+
+
 def _plain(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
