@@ -127,7 +127,7 @@ def _with_predicted_ratio(run: RefinementRun, problem: Problem) -> tuple[Problem
         return problem, None
     told, parameters = predicted(run), {p.name: p for p in problem.parameters}
     free, interval = parameters.get(_RATIO), told.intervals[1]
-    if free is None or interval is None or np.isfinite(free.prior_sigma) or _RATIO in run.options.initial:
+    if free is None or interval is None or np.isfinite(free.prior_sigma):
         return problem, None
     held = free.at(told.poisson_ratio)
     parameters[_RATIO] = replace(held, prior_mean=held.start, prior_sigma=_HELD)
