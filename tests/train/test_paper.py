@@ -191,6 +191,8 @@ def test_an_object_is_evaluated_part_by_part(benchmark, evaluated):
     for part in ("corrected", "given_mesh"):
         assert abs(found.parts[part]["errors"][0]) < abs(found.parts["constant"]["errors"][0])
     assert found.parts["reconstruction"]["first_images"]["psnr"] > 15
+    ratio, told = (found.parts[part]["values"][1] for part in ("convex_twin", "network"))
+    assert ratio == pytest.approx(told, abs=0.01)  # few weights tell ν worse than the network
     for part in (*MAIN[1:], "published_way"):
         assert len(found.parts[part]["rms_m"]) == 8
         assert set(found.parts[part]["pictures"]) == {"observed", "future"}
