@@ -45,8 +45,6 @@ _TURN = FitOptions(max_iterations=4, relative_tolerance=1e-3)  # after the weigh
 _DRAWN = 0.01  # least opacity of a convex that is drawn
 _DRIFTS = (0.01, 0.03, 0.1, 0.3)  # of the speed at the contact: deviations of each later frame's change of velocity
 _ENOUGH = 1.5  # the smallest drift is taken whose least misfit is at most so many times that of any
-
-
 _MODULUS, _RATIO, _HELD = "log10_youngs_modulus", "poisson_ratio", 1e-3
 _STEPS, _MOVES, _NEAR = (0.2, 0.1), 6, 0.31  # decades: of the search of E, most of each; part of the parabola
 
