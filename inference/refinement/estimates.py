@@ -31,9 +31,9 @@ from physconvex.mesh import TetMesh
 # standard deviation by the choice of a mesh made of a surface, of bodies that hit something: error of E [decades]
 # and ν in a first-order fit to motions of other meshes (benchmarks/twin_meshes.py)
 _BY_MESH = {"log10_youngs_modulus": 0.012, "poisson_ratio": 0.03}
-# of twenty elastic weights against the full model on one mesh: the largest bias over 36 drops of E [decades] and of ν
-# (benchmarks/reduced_accuracy.py)
-_BY_REDUCTION = {"log10_youngs_modulus": 0.06, "poisson_ratio": 0.19}
+# of twenty elastic weights: rms error of E on reconstructed bodies whose video the twin follows [decades]
+# (docs/results/paper_images.md); largest bias of ν against the full model (benchmarks/reduced_accuracy.py)
+_BY_REDUCTION = {"log10_youngs_modulus": 0.14, "poisson_ratio": 0.19}
 
 
 def fitted_parameters(
