@@ -35,6 +35,7 @@ from physconvex.identify import (
     with_weights,
 )
 from physconvex.io import Camera
+from physconvex.mesh import TetMesh
 from physconvex.numerics import one_torch_thread
 from physconvex.reduced import NeuralWeights, NodalWeights, PredictedField, WeightField, predicted_weights
 
@@ -315,9 +316,12 @@ def _twin(run: RefinementRun, problem: Problem, start: Fit, field: ConvexField) 
     mesh, basis = problem.twin.mesh, options.basis
 
     def compute() -> Arrays:
-        return {"nodal": skinning_weights(moving, basis, options.weights).nodal_values}
+        nodal = skinning_weights(moving, basis, options.weights).nodal_values
+        return {"nodal": nodal, "vertices": mesh.vertices, "tets": mesh.tets}
 
-    return convex_twin(problem.twin, field, NodalWeights(mesh, run.stages.run("convex_basis", compute)["nodal"]))
+    found = run.stages.run("convex_basis", compute)  # with its mesh: another run may make another one
+    stored = TetMesh(found["vertices"], found["tets"])
+    return convex_twin(problem.twin, field, NodalWeights(stored, found["nodal"]))
 
 
 def _predicted(run: RefinementRun, twin: Twin) -> WeightField:

@@ -121,7 +121,7 @@ def test_one_camera_is_enough(folder, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_convex_twin_alone_tells_the_material_from_the_pixels(folder, tmp_path):
+def test_the_convex_twin_alone_tells_the_material_from_the_pixels(folder, tmp_path, monkeypatch):
     """Stages of the quick answer, which continues from what is stored, and its rows."""
     stages = []
     start = {"log10_youngs_modulus": 4.5, "poisson_ratio": 0.3}
@@ -157,6 +157,11 @@ def test_the_convex_twin_alone_tells_the_material_from_the_pixels(folder, tmp_pa
         on_stage=lambda *stage: further.append(stage),
     )  # fmt: skip
     assert ("convex_96", True) in further and ("motion", False) in further  # nothing is fitted twice
+    other = box_mesh((0.3, 0.2, 0.1), (3, 1, 1), order=1)  # meshers may make another mesh in another run
+    with monkeypatch.context() as patch:
+        patch.setattr(Capture, "tets", lambda _: TetMesh(other.vertices + np.array([0, 0, 0.012]), other.tets))
+        (tmp_path / "stages" / "convex_motion.npz").unlink()
+        assert refine(folder, out=tmp_path, options=options)["poisson_ratio"].value == found["poisson_ratio"].value
     with pytest.raises(InputError, match="stop_after is 'convex', but there is no video with masks, or no convex"):
         refine(folder, options=options.replace(field=False))
 
