@@ -78,8 +78,7 @@ def _best(run: RefinementRun, problem: Problem, half: FullModel, reduced: Fit, c
     if len(candidates) < 2:
         return reduced
     arrays = run.stages.run("start", lambda: {"misfits": misfits_of(problem, half, candidates)})
-    values = candidates[int(np.argmin(arrays["misfits"]))]
-    return reduced if values is candidates[0] else replace(reduced, values=values)
+    return replace(reduced, values=candidates[int(np.argmin(arrays["misfits"]))])
 
 
 def misfits_of(problem: Problem, model: FullModel, candidates: Sequence[np.ndarray]) -> Float[np.ndarray, " C"]:

@@ -12,8 +12,7 @@ import torch
 from inference.refinement.appearance import RestField
 from inference.refinement.observations import Observed
 from inference.refinement.problem import Problem, started_from
-from inference.refinement.reduced_search import predicted
-from inference.refinement.result import deviation_of
+from inference.refinement.reduced_search import HELD, with_predicted_ratio
 from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import ConvergenceError, InputError
 from physconvex.convex import ConvexField
@@ -46,7 +45,7 @@ _TURN = FitOptions(max_iterations=4, relative_tolerance=1e-3)  # after the weigh
 _DRAWN = 0.01  # least opacity of a convex that is drawn
 _DRIFTS = (0.01, 0.03, 0.1, 0.3)  # of the speed at the contact: deviations of each later frame's change of velocity
 _ENOUGH = 1.5  # the smallest drift is taken whose least misfit is at most so many times that of any
-_MODULUS, _RATIO, _HELD = "log10_youngs_modulus", "poisson_ratio", 1e-3
+_MODULUS = "log10_youngs_modulus"
 _STEPS, _MOVES, _NEAR = (0.2, 0.1), 6, 0.31  # decades: of the search of E, most of each; part of the parabola
 
 
@@ -104,7 +103,7 @@ def _fitted(
             )
         return None
     drawn = rest.field.select(rest.field.opacity > _DRAWN)
-    problem, ratio_sigma = _with_predicted_ratio(run, problem)
+    problem, ratio_sigma = with_predicted_ratio(run, problem)
     problem, found = _begun(run, replace(problem, twin=_twin(run, problem, start, rest.field)), start, candidates)
     followed = problem.observed
     for pixels, options in _LEVELS.items():
@@ -115,22 +114,6 @@ def _fitted(
         problem = _with_fitted_weights(run, problem, found, f"convex_weights_{turn}")
         found = run.fit(f"convex_turn_{turn}", problem.parameters, partial(_search, problem, found, _TURN))
     return ConvexFit(problem, found, ratio_sigma)
-
-
-def _with_predicted_ratio(run: RefinementRun, problem: Problem) -> tuple[Problem, float | None]:
-    """The problem with ν held at the network's, and that one's standard deviation; as it is without a prediction.
-
-    A model of few weights tells ν worse than the network: it takes what the missing weights would yield for it.
-    """
-    if not run.stages.known("network"):
-        return problem, None
-    told, parameters = predicted(run), {p.name: p for p in problem.parameters}
-    free, interval = parameters.get(_RATIO), told.intervals[1]
-    if free is None or interval is None or np.isfinite(free.prior_sigma):
-        return problem, None
-    held = free.at(told.poisson_ratio)
-    parameters[_RATIO] = replace(held, prior_mean=held.start, prior_sigma=_HELD)
-    return replace(problem, parameters=tuple(parameters.values())), deviation_of(interval)
 
 
 def _with_fitted_weights(run: RefinementRun, problem: Problem, found: Fit, stage: str) -> Problem:
@@ -165,7 +148,7 @@ def _begun(run: RefinementRun, problem: Problem, start: Fit, candidates: Sequenc
     than the body, by a part of the speed at the contact. Drift that explains every rebound would leave E to the small
     deformation alone, so the smallest is taken that explains about as much.
     """
-    means = np.array([p.prior_mean if p.prior_sigma <= _HELD else np.nan for p in problem.parameters])
+    means = np.array([p.prior_mean if p.prior_sigma <= HELD else np.nan for p in problem.parameters])
     candidates = [np.where(np.isnan(means), values, means) for values in candidates]
     candidates = list({tuple(np.round(values, 6)): values for values in candidates}.values())
     found = run.stages.run("convex_start", lambda: _started(run, problem, candidates))

@@ -21,6 +21,7 @@ from physconvex.identify import (
     Observations,
     ReducedModel,
     clustered_deviations,
+    default_parameter,
     fit_finer,
     frame_errors,
     marginal_deviations,
@@ -66,12 +67,14 @@ def fitted_parameters(
     total = np.sqrt(np.square(np.nan_to_num([sigmas, left, geometry])).sum(axis=0))
     out = []
     for k, p in enumerate(found.parameters):
-        value = float(found.values[k])
-        bounded = interval_of(value, float(total[k]), p.lower, p.upper)
+        value, usual = float(found.values[k]), default_parameter(p.name)
+        bounded = interval_of(value, float(total[k]), usual.lower, usual.upper)
         interval = bounded if followed and p.name not in told.at_bounds else None
         prior = (p.prior_mean, p.prior_sigma) if np.isfinite(p.prior_sigma) else None
         parts = (float(sigmas[k]), float(left[k]))
-        out.append(FittedParameter(p.name, value, *parts, interval, p.lower, p.upper, prior, float(geometry[k])))
+        out.append(
+            FittedParameter(p.name, value, *parts, interval, usual.lower, usual.upper, prior, float(geometry[k]))
+        )
     return tuple(out)
 
 
@@ -170,7 +173,22 @@ def with_model_error(
 
 
 def with_reduction_error(run: RefinementRun, pixels: ConvexFit) -> FitWithError:
-    """The convex twin's fit, with the error that its few weights leave on average, or the network's of its ν."""
-    errors = _BY_REDUCTION | ({} if pixels.ratio_sigma is None else {"poisson_ratio": pixels.ratio_sigma})
-    left = np.array([errors.get(p.name, np.nan) for p in pixels.found.parameters])
-    return FitWithError(pixels.found, left, np.zeros(run.capture.observed_frames))
+    """The convex twin's fit, with the error that its few weights leave on average, or by the network's of its ν."""
+    left = np.array([_BY_REDUCTION.get(p.name, np.nan) for p in pixels.found.parameters])
+    told = FitWithError(pixels.found, left, np.zeros(run.capture.observed_frames))
+    return told if pixels.ratio_sigma is None else with_ratio_error(told, pixels.ratio_sigma)
+
+
+def with_ratio_error(told: FitWithError, sigma: float) -> FitWithError:
+    """A fit in which ν is held, with the error of every value by that of ν, and that of ν itself [1]."""
+    found, place = told.fit, told.fit.names.index("poisson_ratio")
+    rows = np.vstack(
+        [np.sqrt(found.weights)[:, None] * found.jacobian, np.diag([1 / p.prior_sigma for p in found.parameters])]
+    )
+    others = [k for k in range(len(found.values)) if k != place]
+    rows[len(found.residuals) + place] = 0.0  # the prior that holds it
+    by_ratio = np.full(len(found.values), sigma)
+    by_ratio[others] *= np.abs(np.linalg.lstsq(rows[:, others], rows[:, place], rcond=None)[0])
+    left = np.where(np.isnan(told.left), by_ratio, np.hypot(told.left, by_ratio))
+    left[place] = sigma
+    return replace(told, left=left)

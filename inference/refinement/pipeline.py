@@ -16,7 +16,13 @@ from inference.refinement.appearance import RestField, appearance_of
 from inference.refinement.coarse_start import START_OPTIONS, coarse_start
 from inference.refinement.colour_search import fit_colours
 from inference.refinement.convex_stage import CONVEX, convex_fit
-from inference.refinement.estimates import FitWithError, fitted_parameters, with_model_error, with_reduction_error
+from inference.refinement.estimates import (
+    FitWithError,
+    fitted_parameters,
+    with_model_error,
+    with_ratio_error,
+    with_reduction_error,
+)
 from inference.refinement.field_adaptation import with_split_convexes
 from inference.refinement.fine_fit import fit_on_more_nodes
 from inference.refinement.geometry_error import geometry_error
@@ -24,8 +30,8 @@ from inference.refinement.meshes import comparison_mesh
 from inference.refinement.motion import future_rms, refined_motion
 from inference.refinement.observations import observe_capture, selected
 from inference.refinement.options import RefineOptions
-from inference.refinement.problem import Problem, material_of, started_from
-from inference.refinement.reduced_search import ReducedSearch, predicted
+from inference.refinement.problem import Problem, material_of, moved_inside, started_from
+from inference.refinement.reduced_search import ReducedSearch, predicted, with_predicted_ratio
 from inference.refinement.result import FittedParameter, Refinement, StageEstimate, row_of
 from inference.refinement.rigid_drift import drift_of, drifted, followed_motion, with_drift
 from inference.refinement.stages import Arrays, RefinementRun, Stages, arrays_of_correction, fit_of, key_of, runs_of
@@ -143,10 +149,14 @@ def _refined(run: RefinementRun) -> Refinement:
             )
         )
         candidates = (pixels.found.values, *candidates)
+    ratio_sigma = None
+    if run.reconstruction is not None:
+        problem, ratio_sigma = with_predicted_ratio(run, problem)
+        start, candidates = moved_inside(problem.parameters, reduced, candidates)
     coarse: FullModel | None = None
     if options.own_derivatives:
         try:
-            problem, start, coarse = coarse_start(run, problem, reduced, candidates)
+            problem, start, coarse = coarse_start(run, problem, start, candidates)
         except ConvergenceError:  # too few nodes to be simulated: the reduced model's fit is the start
             pass
     if problem.observed.follows_points:
@@ -172,6 +182,8 @@ def _refined(run: RefinementRun) -> Refinement:
     problem = with_drift(run, problem, found, "drift_last")
     full = problem.full(run.memory)
     told = with_model_error(run, full, found, problem.seen, on_twin=None if problem.mesh is None else on_twin)
+    if ratio_sigma is not None:
+        told = with_ratio_error(told, ratio_sigma)
     return _result(run, problem, told, reduced, rest, rows, full=full, full_runs=full_runs, converged=converged)
 
 

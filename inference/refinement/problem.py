@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -64,7 +66,7 @@ class Problem:
         seen = self.observed.observations
         return MarginalObservations(seen, self.nuisance, 1 / self.twin.fps) if self.nuisance.any else seen
 
-    @property
+    @cached_property
     def seen(self) -> Observations:
         """The observations, all nuisances eliminated."""
         return self.with_drift_of(self.drift) if self.drift else self.undrifted
@@ -114,6 +116,17 @@ class Problem:
 def started_from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...]:
     """The parameters, starting where a fit has ended."""
     return tuple(p.at(float(v)) for p, v in zip(parameters, found.values, strict=True))
+
+
+def moved_inside(
+    parameters: tuple[Parameter, ...], found: Fit, candidates: Sequence[np.ndarray]
+) -> tuple[Fit, tuple[np.ndarray, ...]]:
+    """A fit and other values, moved inside the bounds of parameters."""
+    values, *others = (
+        np.array([p.at(float(v)).start for p, v in zip(parameters, row, strict=True)])
+        for row in (found.values, *candidates)
+    )
+    return replace(found, parameters=parameters, values=values), tuple(others)
 
 
 def material_of(twin: Twin, found: Fit) -> tuple[float, float]:

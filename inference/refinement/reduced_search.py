@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from inference.refinement.problem import Problem, started_from
-from inference.refinement.result import StageEstimate
+from inference.refinement.result import StageEstimate, deviation_of
 from inference.refinement.stages import Arrays, RefinementRun, Scanned, arrays_of_scan, scan_of
 from physconvex import ConvergenceError, InputError
 from physconvex.identify import (
@@ -28,6 +28,7 @@ from physconvex.identify import (
 )
 
 _MODULUS, _RATIO = "log10_youngs_modulus", "poisson_ratio"
+HELD, _WITHIN = 1e-3, 5e-3  # of ν that is held: standard deviation of its prior, distance of its bounds
 _CHEAP_WEIGHTS = 6
 _AROUND = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0)  # decades; eigenmodes are too stiff in contact, so that E must be larger
 _USUAL_RATIO = 0.3
@@ -200,6 +201,29 @@ def predicted(run: RefinementRun) -> StageEstimate:
 
     modulus, ratio = run.stages.run("network", compute)["estimate"].tolist()
     return StageEstimate("network", modulus[0], ratio[0], ((modulus[1], modulus[2]), (ratio[1], ratio[2])))
+
+
+def with_predicted_ratio(run: RefinementRun, problem: Problem) -> tuple[Problem, float | None]:
+    """The problem with ν held at the network's, and that one's standard deviation.
+
+    As it is, and None, if there is no prediction, or ν is fixed or has a prior. A model of few weights, or of a body
+    from pictures, tells ν worse than the network: it takes for ν what the missing weights or the wrong volume do.
+    """
+    if not run.stages.known("network"):
+        return problem, None
+    told, parameters = predicted(run), {p.name: p for p in problem.parameters}
+    free, interval = parameters.get(_RATIO), told.intervals[1]
+    if free is None or interval is None or np.isfinite(free.prior_sigma):
+        return problem, None
+    value, sigma = free.at(told.poisson_ratio).start, deviation_of(interval)
+    parameters[_RATIO] = replace(
+        free, start=value, lower=value - _WITHIN, upper=value + _WITHIN, prior_mean=value, prior_sigma=HELD
+    )
+    run.warnings.append(
+        f"Poisson's ratio is the network's, {value:.2f} ± {sigma:.2f}, and is not fitted; a prior of your own "
+        "(--prior poisson_ratio=MEAN,SIGMA) lets it be fitted."
+    )
+    return replace(problem, parameters=tuple(parameters.values())), sigma
 
 
 def _around(found: StageEstimate) -> tuple[tuple[float, ...], tuple[float, ...]]:

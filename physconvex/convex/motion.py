@@ -18,6 +18,8 @@ from physconvex.errors import InputError
 from physconvex.mesh import Embedding, TetMesh, locate, shape_gradients
 from physconvex.reduced import ReducedSpace
 
+_NEWTON_STEPS = 8  # of the polar decomposition; more are not needed unless F is nearly flat
+
 DeformationMap = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Rest positions X [P, 3] to positions x [*T, P, 3], both in metres, and gradients ∂x_i/∂X_j [*T, P, 3, 3].
 
@@ -53,16 +55,15 @@ def _carried(field: ConvexField, points: Tensor, gradients: Float[Tensor, "N 3 3
 
 
 def polar_rotation(gradients: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N 3 3"]:
-    """The rotations R of F = R S (polar decomposition), by F = V Σ Wᵀ, R = V diag(1, 1, det V det W) Wᵀ.
+    """The rotations R of F = R S (polar decomposition); with F = V Σ Wᵀ, R = V diag(1, 1, det V det W) Wᵀ.
 
     The nearest rotation, also if F inverts the body. Differentiable once, also where singular values are equal (as at
     rest): Ṙ = R [ω]ₓ with (tr S − S) ω the axial vector of Rᵀ Ḟ − Ḟᵀ R.
     """
     given = gradients.detach()
-    left, _, right = torch.linalg.svd(given)
-    sign = torch.det(left @ right).sign()
-    flip = torch.stack([torch.ones_like(sign), torch.ones_like(sign), sign], dim=-1)
-    rotation = (left * flip[:, None]) @ right
+    rotation = _nearest_rotations(given)
+    if not gradients.requires_grad:
+        return rotation
     stretch = rotation.mT @ given
     inertia = stretch.diagonal(dim1=1, dim2=2).sum(dim=1)[:, None, None] * torch.eye(3).to(given) - stretch
     change = rotation.mT @ gradients  # symmetric at the given gradients
@@ -76,6 +77,25 @@ def polar_rotation(gradients: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N 3 3"]:
     zero = torch.zeros_like(x)
     turn = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=1).reshape(-1, 3, 3)
     return rotation + rotation @ turn
+
+
+def _nearest_rotations(gradients: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N 3 3"]:
+    """By Newton's iteration R ← ½ (γ R + R⁻ᵀ/γ) (Higham 1986); by singular values if F is inverted or flat."""
+    found = gradients
+    for _ in range(_NEWTON_STEPS):
+        cofactors = torch.stack([found[:, k - 2].cross(found[:, k - 1], dim=1) for k in range(3)], dim=1)
+        volume = (found[:, 0] * cofactors[:, 0]).sum(dim=1)[:, None, None]
+        inverse = cofactors / volume  # transposed
+        scale = (inverse.square().sum((1, 2), True) / found.square().sum((1, 2), True)).pow(0.25)
+        last, found = found, 0.5 * (scale * found + inverse / scale)
+    settled = (found - last).abs().amax((1, 2)) < 30 * torch.finfo(found.dtype).eps
+    rest = ~(settled & (volume[:, 0, 0] > 0))
+    if rest.any():
+        left, _, right = torch.linalg.svd(gradients[rest])
+        sign = torch.det(left @ right).sign()
+        flip = torch.stack([torch.ones_like(sign), torch.ones_like(sign), sign], dim=-1)
+        found = found.index_put((rest,), (left * flip[:, None]) @ right)
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ most a few times the difference of two meshes of the body (`model_drift`): other
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -89,6 +89,7 @@ class RigidDriftObservations(WrappedObservations):
     interval: float
     sigma: float
     begun: Float[np.ndarray, " C"] | None = None
+    _last: list[np.ndarray] = field(default_factory=list, init=False, repr=False)
 
     def in_frames(self, count: int) -> RigidDriftObservations:
         """The first `count` frames alone."""
@@ -172,7 +173,9 @@ class RigidDriftObservations(WrappedObservations):
 
     def _fitted(self, positions: np.ndarray, kicks: _Kicks) -> np.ndarray:
         """The most likely kicks, in units of q. Followed points and outlines find them first, as pixels see only near
-        ones."""
+        ones. Those of the last positions are kept, since rendered pixels make them slow."""
+        if self._last and np.array_equal(self._last[0], positions):
+            return self._last[1]
         found = np.zeros(kicks.count)
         if self.begun is not None and len(self.begun) == kicks.count:
             found = self.begun
@@ -180,7 +183,9 @@ class RigidDriftObservations(WrappedObservations):
         if far is not None:
             seen, chosen = far
             found = self._settled(seen, positions[:, chosen], replace(kicks, moves=kicks.moves[:, :, chosen]), found)
-        return self._settled(self.seen, positions, kicks, found)
+        found = self._settled(self.seen, positions, kicks, found)
+        self._last[:] = [positions, found]
+        return found
 
     def _settled(self, seen: Observations, positions: np.ndarray, kicks: _Kicks, found: np.ndarray) -> np.ndarray:
         """Gauss–Newton steps from given kicks; outlines are found again in the first steps only.

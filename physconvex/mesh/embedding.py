@@ -196,12 +196,17 @@ def _nearest_element(
     """
     boundary = mesh.boundary_rows
     owner, triangles = boundary // 4, mesh.vertices[mesh.corner_tets[:, FACE_CORNERS].reshape(-1, 3)[boundary]]
+    centres = triangles.mean(axis=1)
+    reach = np.linalg.norm(triangles - centres[:, None], axis=2).max(axis=1)
     count = min(CANDIDATES, len(triangles))
-    near = cKDTree(triangles.mean(axis=1)).query(points, k=[*range(1, count + 1)])[1]
-    feet = closest_points(triangles[near], points[:, None])
+    away, near = cKDTree(centres).query(points, k=[*range(1, count + 1)])
+    rows, columns = np.nonzero(away - reach[near] <= (1 + 1e-9) * away[:, :1])  # others are farther than the first
+    faces = near[rows, columns]
+    feet, depth = np.full((*near.shape, 3), np.inf), np.full(near.shape, -np.inf)
+    feet[rows, columns] = closest_points(triangles[faces], points[rows])
     gaps = np.linalg.norm(points[:, None] - feet, axis=-1)
     row, closest = np.arange(len(points)), gaps.argmin(axis=1)
-    depth = _barycentric(corners, inverse, owner[near], points[:, None]).min(axis=2)
+    depth[rows, columns] = _barycentric(corners, inverse, owner[faces], points[rows]).min(axis=1)
     tied = np.linalg.norm(feet - feet[row, closest][:, None], axis=-1) <= 1e-9 * mesh.size
     best = np.where(tied, depth, -np.inf).argmax(axis=1)
     return owner[near[row, best]], feet[row, best], gaps[row, closest]
