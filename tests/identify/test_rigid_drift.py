@@ -154,3 +154,17 @@ def test_the_drift_between_two_models_is_the_kick_that_one_has_and_the_other_has
     kicks = 6 * (FRAMES - BEGIN)  # one axis of one frame; half of it shows in the frame before the next
     assert model_drift(x, other, BEGIN, INTERVAL) == pytest.approx(0.3 * np.sqrt(0.5 / kicks), rel=0.15)
     assert model_drift(x, x, BEGIN, INTERVAL) < 1e-12
+
+
+def test_the_drift_of_the_same_positions_is_found_once(rng, monkeypatch):
+    positions = falling(rng)
+    seen = markers(kicked(positions, (0.02, 0, 0), (0, 0.04, 0)), rng)
+    drifting, calls = RigidDriftObservations(seen, BEGIN, INTERVAL, 0.05), []
+    settled = RigidDriftObservations._settled
+    monkeypatch.setattr(RigidDriftObservations, "_settled", lambda *given: calls.append(1) or settled(*given))
+    first = drifting.drift(positions)
+    assert np.array_equal(drifting.drift(positions.copy()), first) and len(calls) == 1
+    assert np.array_equal(positions + first, drifting.carried(positions, positions)) and len(calls) == 1
+    other = drifting.drift(positions * 1.001)
+    assert len(calls) == 2 and not np.array_equal(other, first)
+    assert np.array_equal(drifting.drift(positions), first)

@@ -1,5 +1,6 @@
 """A fit told by a finer model."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,7 +8,9 @@ import pytest
 
 from inference import RefinementRun, RefineOptions, Stages
 from inference.refinement import estimates, meshes
+from inference.refinement.reduced_search import HELD
 from physconvex import ConvergenceError
+from physconvex.identify import default_parameter
 from physconvex.mesh import box_mesh, filled, to_quadratic
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
@@ -134,3 +137,32 @@ def test_the_noise_of_images_is_what_their_residuals_are_and_that_of_markers_at_
     assert told[markers] == pytest.approx(1.0) and told[colours] == pytest.approx(0.01, rel=0.1)
     assert variances(0.5, 0.1, (False, False))[markers] == pytest.approx(0.25, rel=0.1)
     assert variances(3.0, 0.1) == pytest.approx(9.0, rel=0.1)  # what is not followed is not hidden by the rest
+
+
+def test_an_error_of_a_held_ratio_is_one_of_all_that_lean_on_it():
+    """A linear model in which E has to rise by 0.4 decades for each unit of ν, and damping by nothing."""
+    rng = np.random.default_rng(1)
+    by_modulus, by_damping = np.eye(2)[rng.integers(0, 2, 60)].T
+    parameters = [default_parameter(name) for name in ("log10_youngs_modulus", "poisson_ratio", "damping_time")]
+    parameters[1] = replace(parameters[1], prior_mean=0.35, prior_sigma=HELD)
+    found = SimpleNamespace(
+        names=tuple(p.name for p in parameters), parameters=parameters, values=np.array([5.0, 0.35, 0.002]),
+        residuals=np.zeros(60), weights=np.ones(60), jacobian=np.stack([by_modulus, -0.4 * by_modulus, by_damping], 1),
+    )  # fmt: skip
+    told = estimates.with_ratio_error(estimates.FitWithError(found, np.array([0.03, 0.2, np.nan]), np.zeros(3)), 0.1)
+    assert told.left == pytest.approx([0.05, 0.1, 0.0], abs=1e-9)
+
+
+def test_bounds_of_a_held_value_do_not_cut_its_interval():
+    parameter = replace(default_parameter("poisson_ratio"), start=0.35, lower=0.345, upper=0.355)
+    found = SimpleNamespace(
+        names=("poisson_ratio",), parameters=(replace(parameter, prior_mean=0.35, prior_sigma=HELD),),
+        values=np.array([0.35]), residuals=np.ones(9), weights=np.ones(9), jacobian=np.ones((9, 1)),
+        reduced_chi_square=1.0,
+    )  # fmt: skip
+    told = SimpleNamespace(at_bounds=())
+    (row,) = estimates.fitted_parameters(
+        found, np.array([0.08]), told, np.repeat([0, 1, 2], 3), [slice(0, 9)], stated=[True]
+    )
+    assert row.interval == pytest.approx((0.35 - 1.645 * 0.08, 0.35 + 1.645 * 0.08), abs=2e-3)
+    assert (row.lower, row.upper) == (0.0, 0.495) and row.prior == (0.35, HELD)

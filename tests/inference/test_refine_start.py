@@ -1,5 +1,6 @@
 """Where the scan looks: around the prediction, or everywhere with a note; a prediction given outright."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,11 +9,13 @@ import typer
 from typer.testing import CliRunner
 
 from inference import RefineOptions
+from inference.refinement import coarse_start
 from inference.refinement.command import refine_command
-from inference.refinement.reduced_search import scan_range
-from inference.refinement.stages import RefinementRun, arrays_of_scan
+from inference.refinement.problem import Problem, moved_inside
+from inference.refinement.reduced_search import predicted, scan_range, with_predicted_ratio
+from inference.refinement.stages import RefinementRun, Stages, arrays_of_scan
 from physconvex import InputError
-from physconvex.identify import Candidate
+from physconvex.identify import Candidate, Fit, default_parameter
 from physconvex.io import Capture, look_at
 
 SIZE = 0.5  # m
@@ -93,6 +96,45 @@ def test_without_a_prediction_the_whole_range_is_scanned_and_that_is_said(monkey
     with pytest.raises(InputError, match="no video"):
         range_of(tmp_path, start="predict")
     assert scan_range(RefinementRun(capture(tmp_path)), SIZE).note == ""
+
+
+def free_parameters(**ratio):
+    parameters = [default_parameter(name) for name in ("log10_youngs_modulus", "poisson_ratio")]
+    return parameters[0], replace(parameters[1], **ratio)
+
+
+def fit_at(*values):
+    return Fit(free_parameters(), np.array(values), *[np.zeros(0)] * 4, (), True, 1)
+
+
+@pytest.mark.wrong_types
+def test_the_network_s_ratio_is_held_unless_the_user_has_one(monkeypatch, tmp_path):
+    predicts(monkeypatch, answer(1e5, 1e6, 0.4))
+    run = RefinementRun(capture(tmp_path, CAMERA), stages=Stages(tmp_path / "out"))
+    problem = Problem(None, free_parameters(), None)
+    assert with_predicted_ratio(run, problem) == (problem, None)  # the search has not asked the network
+    predicted(run)
+    held, sigma = with_predicted_ratio(run, problem)
+    ratio = held.parameters[1]
+    assert sigma == pytest.approx(0.25 / 3.29, rel=1e-3) and ratio.start == ratio.prior_mean == 0.4
+    assert ratio.at(0.1).start == pytest.approx(0.4, abs=0.01) and held.parameters[0] == problem.parameters[0]
+    assert "0.40 ± 0.08, and is not fitted" in run.warnings[0]
+    theirs = Problem(None, free_parameters(prior_mean=0.3, prior_sigma=0.1), None)
+    assert with_predicted_ratio(run, theirs) == (theirs, None)
+    fixed = Problem(None, free_parameters()[:1], None)
+    assert with_predicted_ratio(run, fixed) == (fixed, None)
+    moved, (other,) = moved_inside(held.parameters, fit_at(5.0, 0.0), [np.array([6.0, 0.49])])
+    assert moved.values == pytest.approx([5.0, 0.395]) and other == pytest.approx([6.0, 0.405])
+
+
+@pytest.mark.wrong_types
+def test_the_first_candidate_is_begun_with_if_it_is_the_best(monkeypatch):
+    """It is the convex twin's, not the reduced model's fit."""
+    values = (np.array([6.0, 0.4]), np.array([5.0, 0.3]))
+    monkeypatch.setattr(coarse_start, "misfits_of", lambda problem, model, candidates: np.array([1.0, 2.0]))
+    run = RefinementRun(None)
+    start = coarse_start._best(run, None, None, fit_at(*values[1]), values)
+    assert np.array_equal(start.values, values[0])
 
 
 def test_options_are_checked():
