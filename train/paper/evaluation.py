@@ -33,6 +33,7 @@ from train.paper.rows import Change, ObjectRow, PaperPart, PictureScores
 
 CONSTANT = (5.5, 0.345)  # the middle of the ranges 1e4 to 1e7 Pa and .2 to .49
 POINTS = 6  # per convex, of the main columns
+MAIN = ("reconstruction", "constant", "network", "convex_twin", "corrected", "followed", "given_mesh")
 VIEWS = 4  # whose pictures are scored: the front one, and others evenly around the object
 
 
@@ -54,7 +55,7 @@ def evaluate_paper(
         options: sizes.
         names: of the objects to evaluate; None: all. The result includes other objects as far as they are evaluated.
         parts: the parts to compute now, such as "convex_twin"; None: all. What they need is computed with them.
-        comparisons: also the published method and the parts over M and K, after everything else.
+        comparisons: also the published method and the parts over M and K, after everything else, if `parts` is None.
         on_part: called with the object and the part at its start.
 
     Returns:
@@ -73,10 +74,18 @@ def evaluate_paper(
         raise InputError(f"objects: {', '.join(unknown)}: not in {benchmark}; expected some of {', '.join(every)}")
     (out / "objects").mkdir(parents=True, exist_ok=True)
     _claim(out / "options.json", options)
+    known = (*MAIN, *_comparisons(options))
+    unknown = sorted(set(parts or ()) - set(known))
+    if unknown:
+        raise InputError(f"parts: {', '.join(unknown)}: unknown; expected some of {', '.join(known)}")
     made = [name for name in names or every if (benchmark / "truth" / name / "truth.json").exists()]
-    for comparing in (False, True) if comparisons else (False,):  # first the main tables, for all objects
-        for name in made:
-            _Object(benchmark, out, name, options, on_part).evaluate(comparing, parts)
+    for group in (
+        MAIN,
+        _comparisons(options) if comparisons or parts else (),
+    ):  # first the main tables, for all objects
+        wanted = [part for part in group if parts is None or part in parts]
+        for name in made if wanted else ():
+            _Object(benchmark, out, name, options, on_part).evaluate(wanted)
     files = [out / "objects" / f"{name}.json" for name in every]
     return [ObjectRow.read(file) for file in files if file.exists()]
 
@@ -93,6 +102,13 @@ def _claim(file: Path, options: PaperOptions) -> None:
             f"{file.parent}: holds an evaluation with other options ({', '.join(others)}); choose another folder"
         )
     file.write_text(json.dumps(held | settings, indent=1) + "\n", encoding="utf-8")
+
+
+def _comparisons(options: PaperOptions) -> tuple[str, ...]:
+    """Names of the parts that compare: the published way and its variants, the numbers K of points and M of weights."""
+    points = dict.fromkeys(points for points, _ in options.pairs if points != POINTS)
+    ways = WAYS if options.adam_steps else ()
+    return (*ways, *(f"reconstruction_K{k}" for k in points), *(f"convex_K{k}_M{m}" for k, m in options.pairs))
 
 
 class _Object:
@@ -117,38 +133,33 @@ class _Object:
         self.aside = np.zeros(2)
         self.row = ObjectRow.read(self.file) if self.file.exists() else ObjectRow(name)
 
-    def evaluate(self, comparing: bool, wanted: Sequence[str] | None) -> None:
-        unknown = sorted(set(wanted or ()) - {part for part, _ in (*self._main(), *self._comparisons())})
-        if unknown:
-            known = ", ".join(part for part, _ in (*self._main(), *self._comparisons()))
-            raise InputError(f"parts: {', '.join(unknown)}: unknown; expected some of {known}")
+    def evaluate(self, parts: Sequence[str]) -> None:
         self.row.truth = {name: self._true(name) for name in NAMES}
         self.row.truth_itself = self._truth_itself()
         self.row.write(self.file)
-        for part, compute in self._comparisons() if comparing else self._main():
-            if wanted is None or part in wanted:
-                self._part(part, compute)
+        for part in parts:
+            for needed in ("network", part) if part in WAYS else (part,):  # its start is the prediction
+                self._part(needed, self._known[needed])
 
-    def _main(self) -> list[tuple[str, Callable[[], PaperPart]]]:
-        return [
-            ("reconstruction", partial(self._reconstruction, POINTS)),
-            ("constant", self._constant),
-            ("network", self._network),
-            ("convex_twin", partial(self._convex_twin, POINTS, self.options.weights, self.cameras)),
-            ("corrected", self._corrected),
-            ("followed", self._followed),
-            ("given_mesh", self._given_mesh),
-        ]
-
-    def _comparisons(self) -> list[tuple[str, Callable[[], PaperPart]]]:
-        options = self.options
-        parts: list[tuple[str, Callable[[], PaperPart]]] = []
-        if options.adam_steps:
-            parts += [(way, partial(self._published_way, way)) for way in WAYS]
-        for points in dict.fromkeys(points for points, _ in options.pairs if points != POINTS):
-            parts.append((f"reconstruction_K{points}", partial(self._reconstruction, points)))
-        front = self.cameras[:1]
-        return parts + [(f"convex_K{k}_M{m}", partial(self._convex_twin, k, m, front)) for k, m in options.pairs]
+    @property
+    def _known(self) -> dict[str, Callable[[], PaperPart]]:
+        """How each part is computed."""
+        options, front = self.options, self.cameras[:1]
+        main = (
+            partial(self._reconstruction, POINTS),
+            self._constant,
+            self._network,
+            partial(self._convex_twin, POINTS, options.weights, self.cameras),
+            self._corrected,
+            self._followed,
+            self._given_mesh,
+        )
+        return {
+            **dict(zip(MAIN, main, strict=True)),
+            **{way: partial(self._published_way, way) for way in WAYS},
+            **{f"reconstruction_K{k}": partial(self._reconstruction, k) for k, _ in options.pairs},
+            **{f"convex_K{k}_M{m}": partial(self._convex_twin, k, m, front) for k, m in options.pairs},
+        }
 
     def _part(self, part: str, compute: Callable[[], PaperPart]) -> None:
         if part in self.row.parts:
