@@ -45,6 +45,7 @@ from physconvex.reconstruction import (
     start_field,
     start_kind,
     surface_error,
+    textured,
 )
 from physconvex.render import film, orbit
 
@@ -381,7 +382,7 @@ def _write(
     write_glb(result.field, folder / HULLS)
     if result.body is not None:
         result.body.export(folder / BODY)
-        upright = result.body.copy()
+        upright = textured(result.body, views.training)
         upright.apply_transform(_Y_UP)
         upright.export(folder / BODY_GLB)
     (folder / "views").mkdir(exist_ok=True)

@@ -31,5 +31,6 @@ from .scores import (
 )
 from .start import Start as Start, body_surface as body_surface, start_field as start_field, start_kind as start_kind
 from .surface_errors import SurfaceError as SurfaceError, surface_error as surface_error
+from .texture import textured as textured
 from .triangles import even_triangles as even_triangles, welded as welded
 from .view_checks import disagreement as disagreement, missing_sides as missing_sides

@@ -69,14 +69,26 @@ def colours_seen(
     surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float
 ) -> Float[np.ndarray, "V 3"]:
     """Colour of each vertex, 0 to 1: the mean over the views by the squared cosine; unseen ones by their neighbours."""
-    cosines = _cosines(surface, observations, cell)
-    total = np.zeros((len(cosines), 3))
-    for cosine, seen in zip(cosines.T, observations, strict=True):
-        total += cosine[:, None] ** 2 * _sampled(seen, np.asarray(surface.vertices)).numpy()
-    weight = np.square(cosines).sum(axis=1)
+    total, weight = colour_sums(surface, observations, surface.vertices, surface.vertex_normals, cell=cell)
     across = edge_differences(surface.edges_unique, len(total))
     spread = sparse.diags(weight + 1e-9) + 1e-3 * across.T @ across
     return np.clip(splu(spread.tocsc()).solve(total), 0, 1)
+
+
+def colour_sums(
+    surface: trimesh.Trimesh,
+    observations: Sequence[Observation],
+    positions: Float[np.ndarray, "Q 3"],
+    normals: Float[np.ndarray, "Q 3"],
+    *,
+    cell: float,
+) -> tuple[Float[np.ndarray, "Q 3"], Float[np.ndarray, " Q"]]:
+    """Sums over the views of the colours at places on the surface [m] by the squared cosine, and of the weights."""
+    cosines = _shown(_facing(surface, observations, np.asarray(positions), np.asarray(normals), cell=cell))
+    total = np.zeros((len(cosines), 3))
+    for cosine, seen in zip(cosines.T, observations, strict=True):
+        total += cosine[:, None] ** 2 * _sampled(seen, np.asarray(positions)).numpy()
+    return total, np.square(cosines).sum(axis=1)
 
 
 def views_of(surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float) -> Int[np.ndarray, " V"]:
@@ -93,18 +105,29 @@ def nearest_pixels(camera: Camera, positions: np.ndarray) -> tuple[tuple[np.ndar
 
 def facing(surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float) -> Float[np.ndarray, "V C"]:
     """Cosine between normal and ray to each camera; NaN if hidden."""
+    return _facing(surface, observations, np.asarray(surface.vertices), np.asarray(surface.vertex_normals), cell=cell)
+
+
+def _facing(
+    surface: trimesh.Trimesh,
+    observations: Sequence[Observation],
+    positions: Float[np.ndarray, "Q 3"],
+    normals: Float[np.ndarray, "Q 3"],
+    *,
+    cell: float,
+) -> Float[np.ndarray, "Q C"]:
+    """The same at places on the surface [m]."""
     pixel = footprint(observations)
     points, _ = trimesh.sample.sample_surface(surface, int(8 * surface.area / pixel**2), seed=0)
-    vertices, normals = np.asarray(surface.vertices), np.asarray(surface.vertex_normals)
-    cosines = np.zeros((len(vertices), len(observations)))
+    cosines = np.zeros((len(positions), len(observations)))
     for column, seen in enumerate(observations):
         camera = seen.camera
         nearest = np.full((camera.h, camera.w), np.inf)
         place, depth = nearest_pixels(camera, points)
         np.minimum.at(nearest, place, depth)
-        towards = camera.position - vertices
+        towards = camera.position - positions
         cosine = np.einsum("vi,vi->v", normals, towards) / np.linalg.norm(towards, axis=1)
-        place, depth = nearest_pixels(camera, vertices)
+        place, depth = nearest_pixels(camera, positions)
         cosines[:, column] = np.where(depth < nearest[place] + HIDDEN * cell, cosine, np.nan)
     return cosines
 

@@ -59,6 +59,7 @@ def test_pictures_of_frame_0_give_a_closed_body_once(bare, tmp_path):
     assert 1.0 < body.extents[2] / (2 * RADIUS) < 1.11  # cameras 34° above and below leave cones at the poles
     written = trimesh.load(tmp_path / "reconstruction" / "body.glb", force="mesh", process=False)
     assert written.extents == pytest.approx(body.extents[[0, 2, 1]], rel=1e-3)
+    assert min(written.visual.material.baseColorTexture.size) >= 1024
 
 
 def test_a_given_body_takes_the_place_of_the_mesh(bare, tmp_path):

@@ -9,7 +9,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from physconvex.convex import ConvexField, coefficients_of_colour
-from physconvex.reconstruction import closed_surface, visual_hull
+from physconvex.reconstruction import closed_surface, textured, visual_hull
 from physconvex.reconstruction.carving import hull_distance
 from tests.reconstruction.scenes import RADIUS, ball_mesh, speckled_ball, views
 
@@ -58,6 +58,27 @@ def test_the_surface_has_the_colours_of_the_body(surface):
     painted = np.random.default_rng(0).uniform(0.1, 0.9, (len(ball.faces), 3))[nearest]
     assert np.corrcoef(seen.ravel(), painted.ravel())[0, 1] > 0.7
     assert np.abs(seen.mean(axis=0) - painted.mean(axis=0)).max() < 0.03
+
+
+def test_a_texture_is_finer_than_colours_of_vertices_and_leaves_the_surface_closed(surface, many):
+    found = textured(surface, many, size=512)
+    assert found.visual.material.baseColorTexture.size == (512, 512)
+    places, faces = trimesh.sample.sample_surface(found, 4000, seed=0)
+    weights = trimesh.triangles.points_to_barycentric(found.vertices[found.faces[faces]], places)
+    of_texture = trimesh.visual.color.uv_to_color(
+        np.einsum("tk,tki->ti", weights, found.visual.uv[found.faces[faces]]), found.visual.material.baseColorTexture
+    )[:, :3] / 255  # fmt: skip
+    source = cKDTree(surface.vertices).query(found.vertices)[1]
+    colours = surface.visual.vertex_colors[:, :3][source] / 255
+    of_vertices = np.einsum("tk,tki->ti", weights, colours[found.faces[faces]])
+    ball = ball_mesh()
+    nearest = cKDTree(ball.triangles_center).query(places)[1]
+    painted = np.random.default_rng(0).uniform(0.1, 0.9, (len(ball.faces), 3))[nearest]
+    errors = [float(np.abs(colours - painted).mean()) for colours in (of_texture, of_vertices)]
+    assert errors[0] < 0.9 * errors[1] and errors[0] < 0.08
+    assert np.array_equal(found.vertices, surface.vertices[source])
+    found.merge_vertices(merge_tex=True, merge_norm=True)
+    assert found.is_watertight and found.volume == pytest.approx(surface.volume)
 
 
 def test_a_limb_of_two_pixels_stays_on_the_body():
