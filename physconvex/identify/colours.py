@@ -168,8 +168,9 @@ class ColourObservations(EvaluatedObservations, PointwiseObservations):
             found = _sampled(self.images[frame], pixels)
             rows = np.zeros((len(points), 3, count))
             if tangents is not None:
-                by_pixel = (np.gradient(self.images[frame], axis=axis) for axis in (1, 0))
-                slopes = np.stack([_sampled(slope, pixels) for slope in by_pixel], axis=-1)  # [n, 3, 2]
+                image = self.images[frame]
+                beside = ((_sampled(image, pixels + one), _sampled(image, pixels - one)) for one in np.eye(2))
+                slopes = np.stack([0.5 * (after - before) for after, before in beside], axis=-1)  # [n, 3, 2]
                 by_place = np.nan_to_num(slopes @ camera_jacobian(self.camera, x))
                 rows = np.einsum("nci,kni->nck", by_place, tangents[frame][:, points])
             value, rows = self._balanced(found, self.colours[points], rows)
