@@ -97,9 +97,8 @@ class Case:
         frames, masks = self.capture.video(camera.name).frames, self.capture.mask(camera.name)
         assert masks is not None
         across = max(np.ptp(np.argwhere(masks[0]), axis=0)) + 1
-        drawn = self.field.select(self.field.opacity > 0.01)
         return PhotometricObservations.of_video(
-            camera, frames, masks[: len(frames)], drawn, scale=min(1.0, pixels / float(across)), exposure=False
+            camera, frames, masks[: len(frames)], self.field, scale=min(1.0, pixels / float(across)), exposure=False
         )
 
     def basis(self, name: str) -> str | WeightField:

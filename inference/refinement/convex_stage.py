@@ -42,7 +42,6 @@ CONVEX = "convex twin"
 # compared pixels across the object, coarse to fine
 _LEVELS = {pixels: FitOptions(max_iterations=n, relative_tolerance=1e-3) for pixels, n in ((24, 8), (48, 5), (96, 4))}
 _TURN = FitOptions(max_iterations=4, relative_tolerance=1e-3)  # after the weights are fitted
-_DRAWN = 0.01  # least opacity of a convex that is drawn
 _DRIFTS = (0.01, 0.03, 0.1, 0.3)  # of the speed at the contact: deviations of each later frame's change of velocity
 _ENOUGH = 1.5  # the smallest drift is taken whose least misfit is at most so many times that of any
 _MODULUS = "log10_youngs_modulus"
@@ -102,12 +101,11 @@ def _fitted(
                 "add CAMERA_mask.mp4 beside CAMERA.mp4, and leave the field on"
             )
         return None
-    drawn = rest.field.select(rest.field.opacity > _DRAWN)
     problem, ratio_sigma = with_predicted_ratio(run, problem)
     problem, found = _begun(run, replace(problem, twin=_twin(run, problem, start, rest.field)), start, candidates)
     followed = problem.observed
     for pixels, options in _LEVELS.items():
-        problem = replace(problem, observed=_beside(followed, _photometric(run, cameras, drawn, pixels)))
+        problem = replace(problem, observed=_beside(followed, _photometric(run, cameras, rest.field, pixels)))
         problem = _seen_in(problem, found)
         found = run.fit(f"convex_{pixels}", problem.parameters, partial(_search, problem, found, options))
     for turn in range(run.options.fit_weights):
@@ -317,7 +315,7 @@ def _predicted(run: RefinementRun, twin: Twin) -> WeightField:
     return predicted_weights(found.skinning_field, origin=0.5 * (vertices.min(0) + vertices.max(0)))
 
 
-def _photometric(run: RefinementRun, cameras: tuple[Camera, ...], drawn: ConvexField, pixels: int) -> Observed:
+def _photometric(run: RefinementRun, cameras: tuple[Camera, ...], field: ConvexField, pixels: int) -> Observed:
     """The videos at a scale at which the object is that many pixels across."""
     capture, parts, sources = run.capture, [], []
     for camera in cameras:
@@ -325,7 +323,7 @@ def _photometric(run: RefinementRun, cameras: tuple[Camera, ...], drawn: ConvexF
         assert masks is not None
         across = int(np.ptp(np.argwhere(masks[0]), axis=0).max()) + 1
         part = PhotometricObservations.of_video(
-            camera, frames, masks[: len(frames)], drawn, scale=min(1.0, pixels / across), exposure=run.options.exposure
+            camera, frames, masks[: len(frames)], field, scale=min(1.0, pixels / across), exposure=run.options.exposure
         )
         parts.append(part)
         sources.append(f"camera {camera.name}: {len(part.frames) // 3} pixels")

@@ -27,6 +27,7 @@ from physconvex.render import View, render, render_jacobian, slopes
 
 _OVERSAMPLED = 2  # rendered pixels across one of a coarser image
 _UNIT = sqrt(4 * pi)  # of the first harmonic, by a colour that is the same from everywhere
+_DRAWN = 0.01  # least opacity of a convex that is drawn: fillings of the inside are not
 _AROUND = 0.2  # of the object's size in the image: pixels around it that are compared
 
 
@@ -90,7 +91,7 @@ class PhotometricObservations(EvaluatedObservations):
             camera: of the recorded frames.
             frames: the observed ones; the first shows the rest state.
             masks: where the object is seen.
-            field: convexes at rest [m] that are drawn.
+            field: convexes at rest [m]; those that are not transparent are drawn.
             scale: of the compared images.
             blur: width of the Gaussian [compared pixels].
             exposure: whether gain and offset of each frame are free.
@@ -115,7 +116,8 @@ class PhotometricObservations(EvaluatedObservations):
         windows = np.clip(windows, 0, [size[1], size[1], size[0], size[0]]).astype(np.int64)
         windows[extent[:, 1] <= extent[:, 0]] = 0  # no object in that frame
         fine = 1 if size == (camera.w, camera.h) else _OVERSAMPLED
-        return cls(small, field, images, background, windows, blur, fine, exposure=exposure)
+        drawn = field.select(field.opacity > _DRAWN)
+        return cls(small, drawn, images, background, windows, blur, fine, exposure=exposure)
 
     @property
     def points(self) -> Float[np.ndarray, "P 3"]:

@@ -53,7 +53,6 @@ WAYS: dict[str, tuple[bool, bool]] = {  # own steps, own optimiser
     "published_own_optimiser": (False, True),
     "published_own_both": (True, True),
 }
-_DRAWN = 0.01  # least opacity of a convex that is drawn
 _STORE_EVERY = 20  # steps of Adam; then the visible convexes are found anew
 _LEVELS = ((0.25, 1.0), (1.0, 0.0))  # of this project's optimiser: share of the images' scale, blur [pixels]
 
@@ -141,8 +140,7 @@ def fit_as_published(
     timing = twin.timing()
     if not options.own_steps:
         timing = replace(timing, integrator="implicit_euler", steps_per_frame=1)
-    drawn = field.select(field.opacity > _DRAWN)
-    seen = partial(_seen, capture, drawn, options)
+    seen = partial(_seen, capture, field, options)
     if options.own_optimiser:
         twin, losses = _own_optimiser(twin, seen, timing, options.turns)
     else:
@@ -161,7 +159,7 @@ def _convex_twin(capture: Capture, field: ConvexField, start: np.ndarray, option
 
 
 def _seen(
-    capture: Capture, drawn: ConvexField, options: PublishedOptions, share: float, blur: float
+    capture: Capture, field: ConvexField, options: PublishedOptions, share: float, blur: float
 ) -> PhotometricObservations:
     """All pixels of the observed frames of the front view, at a share of the settings' scale."""
     if not capture.filmed:
@@ -172,7 +170,7 @@ def _seen(
         raise InputError(f"{capture.folder}: camera {camera.name!r} has no masks; expected {camera.name}_mask.mp4")
     frames = capture.video(camera.name).frames[: capture.observed_frames]
     seen = PhotometricObservations.of_video(
-        camera, frames, masks[: len(frames)], drawn, scale=share * options.scale, blur=blur, exposure=False
+        camera, frames, masks[: len(frames)], field, scale=share * options.scale, blur=blur, exposure=False
     )
     whole = np.tile([0, seen.camera.h, 0, seen.camera.w], (len(frames), 1))
     return replace(seen, windows=whole, robust_scale=np.inf)
