@@ -228,7 +228,7 @@ def reconstruct(
     body_seconds = time.perf_counter() - clock
     field = _filled(field, state, body or body_surface(kind, views.training, mesh), config)
     error = None if body is None else surface_error(body, views.training)
-    warnings = (*warnings_on_views(views.training), *_on_unseen(body, error, views))
+    warnings = (*warnings_on_views(views.training), *_on_unseen(body, error, views), *_on_contested(error))
     for warning in warnings:
         _LOG.warning("reconstruct: %s", warning)
     trained, tested = (score_views(field.to(place), part) for part in (views.training, views.held_out))
@@ -275,6 +275,17 @@ def _on_unseen(body: trimesh.Trimesh | None, error: SurfaceError | None, views: 
     return [
         f"{100 * error.unseen_share:.0f} % of the surface is shown by fewer than two pictures and closed by a "
         f"membrane{why}."
+    ]
+
+
+def _on_contested(error: SurfaceError | None) -> list[str]:
+    """A warning where the colours of much of the surface differ from picture to picture."""
+    if error is None or not error.contested_share:
+        return []
+    return [
+        f"{100 * error.contested_share:.0f} % of the surface has other colours in every picture: it shines, or the "
+        "body has a hollow there, which no silhouette shows and the reconstruction fills. Take pictures that look "
+        "into it, or give the surface (--body)."
     ]
 
 

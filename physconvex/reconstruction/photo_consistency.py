@@ -30,6 +30,7 @@ AGREE = 2  # pictures that show a place: fewer say nothing of its depth
 STEEPEST = 0.25  # least cosine between a normal and a ray
 HIDDEN = 2.5  # cells behind the nearest surface
 DARK = 0.01  # standard deviation of colour that is noise
+EVENED = 5  # rounds of averages of the colours' spread over neighbours
 SHARED = 2  # rounds of averages of the correlation over neighbours
 TELLING = 0.2  # excess of the best correlation over the median that tells all
 # weights of the displacement: of a full agreement (1), of an outline, of the old place where the pictures say nothing
@@ -89,6 +90,21 @@ def colour_sums(
     for cosine, seen in zip(cosines.T, observations, strict=True):
         total += cosine[:, None] ** 2 * _sampled(seen, np.asarray(positions)).numpy()
     return total, np.square(cosines).sum(axis=1)
+
+
+def colour_spread(
+    surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float
+) -> Float[np.ndarray, " V"]:
+    """Standard deviation of the colours in which the views show each vertex, evened over its neighbours."""
+    cosines, places = _cosines(surface, observations, cell), np.asarray(surface.vertices)
+    weights = np.square(cosines) / np.maximum(np.square(cosines).sum(axis=1, keepdims=True), 1e-12)
+    colours = np.stack([_sampled(seen, places).numpy() for seen in observations], axis=1)  # [V, C, 3]
+    apart = colours - np.einsum("vc,vci->vi", weights, colours)[:, None]
+    spread = np.sqrt(np.einsum("vc,vci->v", weights, apart**2))
+    means = _neighbour_means(surface.edges_unique, len(places))
+    for _ in range(EVENED):
+        spread = 0.5 * (spread + means @ spread)
+    return spread
 
 
 def views_of(surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float) -> Int[np.ndarray, " V"]:

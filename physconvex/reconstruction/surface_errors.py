@@ -2,7 +2,8 @@
 
 Three parts, measured on scanned objects (`benchmarks/body_error.py`, docs/results/body_from_pictures.md): an offset
 that the whole surface shares, errors that change within a twentieth of the size, and, where fewer than two pictures
-show it, an error of that whole part, which grows with the distance from what two pictures show.
+show it, an error of that whole part, which grows with the distance from what two pictures show. Where much of the
+surface has other colours in every picture, the body may be hollow there, where no silhouette tells it.
 """
 
 from __future__ import annotations
@@ -12,16 +13,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from physconvex.reconstruction.carving import cell_of
 from physconvex.reconstruction.observation import Observation
-from physconvex.reconstruction.photo_consistency import AGREE, views_of
+from physconvex.reconstruction.photo_consistency import AGREE, colour_spread, views_of
 
 COMMON, VIEWS = 0.13, 12  # cells: the shared offset with so many views; it falls with the root of their number
 LOCAL, LENGTH = 0.6, 0.03  # cells; of the size: their correlation is exp(−½) at that distance
 UNSEEN, AWAY = 1.0, 0.2  # cells; share of the distance from what two pictures show
+CONTESTED, MUCH, HOLLOW = 0.15, 0.05, 0.5  # spread of colours; least share of the area; of the thickness there
 _WAVES = 256  # of a random error
 
 
@@ -34,8 +36,10 @@ class SurfaceError:
         areas: area of the surface that each vertex represents [m²], shape [V].
         common: of an offset of all vertices.
         local: of what varies from place to place.
-        unseen: of the part that fewer than two pictures show, by vertex, shape [V]; zero elsewhere.
+        unseen: of the part that fewer than two pictures show, and of what is contested, by vertex, shape [V]; zero
+            elsewhere.
         length: distance at which the correlation of local errors is exp(−½) [m].
+        contested_share: share of the area whose colours differ from picture to picture; zero if it is small.
     """
 
     views: Int[np.ndarray, " V"]
@@ -44,6 +48,7 @@ class SurfaceError:
     local: float
     unseen: Float[np.ndarray, " V"]
     length: float
+    contested_share: float = 0.0
 
     @property
     def unseen_share(self) -> float:
@@ -76,8 +81,30 @@ def surface_error(surface: trimesh.Trimesh, observations: Sequence[Observation])
     far = cKDTree(vertices[known]).query(vertices)[0] if known.any() else np.full(len(vertices), np.inf)
     far = np.minimum(far, float(surface.extents.max()))
     unseen = np.where(known, 0.0, np.hypot(UNSEEN * cell, AWAY * far))
+    contested = colour_spread(surface, observations, cell=cell) > CONTESTED
+    share = float(areas[contested].sum() / areas.sum())
+    if share > MUCH:
+        unseen[contested] = np.maximum(unseen[contested], HOLLOW * _thickness(surface, contested))
     common = COMMON * cell * float(np.sqrt(VIEWS / len(observations)))
-    return SurfaceError(views, areas, common, LOCAL * cell, unseen, LENGTH * float(surface.extents.max()))
+    return SurfaceError(
+        views,
+        areas,
+        common,
+        LOCAL * cell,
+        unseen,
+        LENGTH * float(surface.extents.max()),
+        share if share > MUCH else 0.0,
+    )
+
+
+def _thickness(surface: trimesh.Trimesh, chosen: Bool[np.ndarray, " V"]) -> Float[np.ndarray, " C"]:
+    """Distance from vertices through the body to its other side [m]."""
+    inward = -np.asarray(surface.vertex_normals)[chosen]
+    begin = np.asarray(surface.vertices)[chosen] + 1e-4 * surface.scale * inward
+    places, rays, _ = surface.ray.intersects_location(begin, inward, multiple_hits=False)
+    out = np.zeros(len(begin))
+    out[rays] = np.linalg.norm(places - begin[rays], axis=1)
+    return out
 
 
 def _random_field(

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from physconvex.reconstruction import surface_error
 from tests.reconstruction.scenes import RADIUS, ball_mesh, views
@@ -31,6 +32,29 @@ def test_the_underside_is_unseen_from_above(ball, above):
     assert half.unseen[heights.argmin()] > 1.5 * half.unseen[hidden].min()  # it grows with the distance
     assert half.common == pytest.approx(np.sqrt(2) * all_round.common, rel=0.01)  # of half the views
     assert half.local == pytest.approx(all_round.local, rel=0.01)  # their cubes differ a little
+
+
+def lid_painted(seen, value):
+    """The picture with all of the ball above half its radius in one grey."""
+    camera = seen.camera
+    pixels = np.stack(np.meshgrid(np.arange(camera.w), np.arange(camera.h)), axis=-1).reshape(-1, 2) + 0.5
+    origin, directions = camera.rays(pixels)
+    along = directions @ origin
+    under = np.maximum(along**2 - (origin @ origin - RADIUS**2), 0)
+    heights = (origin + (-along - np.sqrt(under))[:, None] * directions)[:, 2]
+    lid = torch.as_tensor((under > 0) & (heights > 0.5 * RADIUS)).reshape(camera.h, camera.w, 1)
+    return torch.where(lid, torch.full_like(seen.image, value), seen.image)
+
+
+def test_a_surface_that_no_two_pictures_show_alike_may_be_hollow(ball):
+    """The pictures of a mug show its inside where its silhouettes show a lid."""
+    seen = views(10, size=96)
+    assert surface_error(ball, seen).contested_share == 0
+    upper = [replace(one, image=lid_painted(one, 0.9 * (k % 4 > 1))) for k, one in enumerate(seen)]
+    error = surface_error(ball, upper)
+    heights, wide = ball.vertices[:, 2], error.unseen > 0.5 * RADIUS
+    assert error.contested_share == pytest.approx(0.25, abs=0.1) and heights[wide].min() > 0.3 * RADIUS
+    assert error.unseen[wide] == pytest.approx(RADIUS, rel=0.05)  # half of the way through
 
 
 def test_displacements_have_the_stated_deviations(ball, above):
