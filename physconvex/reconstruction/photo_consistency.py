@@ -92,11 +92,24 @@ def colour_sums(
     return total, np.square(cosines).sum(axis=1)
 
 
-def colour_spread(
+def cosines_shown(
     surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float
+) -> Float[np.ndarray, "V C"]:
+    """Cosine between normal and ray to each camera; zero if hidden or grazing, by the accuracy `cell` [m]."""
+    return _shown(facing(surface, observations, cell=cell))
+
+
+def colour_spread(
+    surface: trimesh.Trimesh, observations: Sequence[Observation], cosines: Float[np.ndarray, "V C"]
 ) -> Float[np.ndarray, " V"]:
-    """Standard deviation of the colours in which the views show each vertex, evened over its neighbours."""
-    cosines, places = _cosines(surface, observations, cell), np.asarray(surface.vertices)
+    """Standard deviation of the colours in which the views show each vertex, evened over its neighbours.
+
+    Args:
+        surface: closed, outward oriented [m].
+        observations: the views.
+        cosines: of `cosines_shown`.
+    """
+    places = np.asarray(surface.vertices)
     weights = np.square(cosines) / np.maximum(np.square(cosines).sum(axis=1, keepdims=True), 1e-12)
     colours = np.stack([_sampled(seen, places).numpy() for seen in observations], axis=1)  # [V, C, 3]
     apart = colours - np.einsum("vc,vci->vi", weights, colours)[:, None]
@@ -105,11 +118,6 @@ def colour_spread(
     for _ in range(EVENED):
         spread = 0.5 * (spread + means @ spread)
     return spread
-
-
-def views_of(surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float) -> Int[np.ndarray, " V"]:
-    """Number of pictures that show each vertex of a surface of the accuracy `cell` [m]."""
-    return np.asarray((_cosines(surface, observations, cell) > 0).sum(axis=1))
 
 
 def nearest_pixels(camera: Camera, positions: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
@@ -146,11 +154,6 @@ def _facing(
         place, depth = nearest_pixels(camera, positions)
         cosines[:, column] = np.where(depth < nearest[place] + HIDDEN * cell, cosine, np.nan)
     return cosines
-
-
-def _cosines(surface: trimesh.Trimesh, observations: Sequence[Observation], cell: float) -> Float[np.ndarray, "V C"]:
-    """Cosine between normal and ray to each camera; zero if hidden or grazing."""
-    return _shown(facing(surface, observations, cell=cell))
 
 
 def _shown(towards: Float[np.ndarray, "V C"]) -> Float[np.ndarray, "V C"]:

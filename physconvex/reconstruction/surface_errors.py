@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from physconvex.reconstruction.carving import cell_of
 from physconvex.reconstruction.observation import Observation
-from physconvex.reconstruction.photo_consistency import AGREE, colour_spread, views_of
+from physconvex.reconstruction.photo_consistency import AGREE, colour_spread, cosines_shown
 
 COMMON, VIEWS = 0.13, 12  # cells: the shared offset with so many views; it falls with the root of their number
 LOCAL, LENGTH = 0.6, 0.03  # cells; of the size: their correlation is exp(−½) at that distance
@@ -76,12 +76,13 @@ def surface_error(surface: trimesh.Trimesh, observations: Sequence[Observation])
     cell, vertices = cell_of(observations), np.asarray(surface.vertices, dtype=np.float64)
     areas = np.zeros(len(vertices))
     np.add.at(areas, surface.faces, surface.area_faces[:, None] / 3)
-    views = views_of(surface, observations, cell=cell)
+    cosines = cosines_shown(surface, observations, cell=cell)
+    views = (cosines > 0).sum(axis=1)
     known = views >= AGREE
     far = cKDTree(vertices[known]).query(vertices)[0] if known.any() else np.full(len(vertices), np.inf)
     far = np.minimum(far, float(surface.extents.max()))
     unseen = np.where(known, 0.0, np.hypot(UNSEEN * cell, AWAY * far))
-    contested = colour_spread(surface, observations, cell=cell) > CONTESTED
+    contested = colour_spread(surface, observations, cosines) > CONTESTED
     share = float(areas[contested].sum() / areas.sum())
     if share > MUCH:
         unseen[contested] = np.maximum(unseen[contested], HOLLOW * _thickness(surface, contested))
