@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inference.refinement.coarse_start import misfits_of
-from inference.refinement.problem import Problem, in_pixels, material_of, started_from
+from inference.refinement.problem import Problem, in_pixels, material_of, started_from, tried
 from inference.refinement.rigid_drift import drifted, with_drift
 from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import ConvergenceError, InputError
@@ -118,7 +118,7 @@ def materials_about(problem: Problem, found: Fit) -> list[Float[np.ndarray, " K"
         "poisson_ratio": _RATIOS,
         "damping_time": [kept.get("damping_time", 0.0), *(loss / slowest for loss in _LOSSES)],
     }
-    choices = ([p.at(float(value)).start for value in others.get(p.name, [p.start])] for p in parameters)
+    choices = (tried(p, others.get(p.name, [p.start])) for p in parameters)
     return [found.values, *map(np.array, product(*choices))]
 
 

@@ -11,8 +11,8 @@ import torch
 
 from inference.refinement.appearance import RestField
 from inference.refinement.observations import Observed
-from inference.refinement.problem import Problem, started_from
-from inference.refinement.reduced_search import HELD, with_predicted_ratio
+from inference.refinement.problem import HELD, Problem, started_from
+from inference.refinement.reduced_search import with_predicted_ratio
 from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import ConvergenceError, InputError
 from physconvex.convex import ConvexField

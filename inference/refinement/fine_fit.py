@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from inference.refinement.coarse_start import START_OPTIONS, misfits_of
 from inference.refinement.meshes import fine_mesh
-from inference.refinement.problem import Problem, in_pixels, started_from
+from inference.refinement.problem import Problem, in_pixels, started_from, tried
 from inference.refinement.rigid_drift import with_drift
 from inference.refinement.stages import Arrays, RefinementRun
 from physconvex.identify import (
@@ -93,14 +93,15 @@ def _material(problem: Problem, model: FullModel, values: Float[np.ndarray, " K"
         return values
     side = -1.0 if best is beside[0] else 1.0
     best = _best(problem, model, [best, *(_moved(problem, values, side * change, _RATIO) for change in _FURTHER)])
-    return _best(problem, model, [best, *(_moved(problem, best, 0.0, ratio) for ratio in _RATIOS)])
+    others = [_moved(problem, best, 0.0, ratio) for ratio in _RATIOS]
+    return _best(problem, model, [best, *(other for other in others if not np.array_equal(other, best))])
 
 
 def _moved(problem: Problem, values: np.ndarray, change: float, ratio: float) -> Float[np.ndarray, " K"]:
     """Values with E changed by that many decades and that ν, as far as these are free and within their bounds."""
     wanted = {"log10_youngs_modulus": lambda value: value + change, "poisson_ratio": lambda value: ratio}
     pairs = zip(problem.parameters, map(float, values), strict=True)
-    return np.array([p.at(wanted[p.name](value)).start if p.name in wanted else value for p, value in pairs])
+    return np.array([tried(p.at(v), [wanted[p.name](v)])[0] if p.name in wanted else v for p, v in pairs])
 
 
 def _best(problem: Problem, model: FullModel, candidates: Sequence[np.ndarray]) -> np.ndarray:

@@ -26,6 +26,8 @@ from physconvex.identify import (
 from physconvex.mesh import TetMesh
 from physconvex.reduced import parameter_values
 
+HELD = 1e-3  # standard deviation of the prior of a value that is held
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -116,6 +118,12 @@ class Problem:
 def started_from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...]:
     """The parameters, starting where a fit has ended."""
     return tuple(p.at(float(v)) for p, v in zip(parameters, found.values, strict=True))
+
+
+def tried(parameter: Parameter, values: Sequence[float]) -> list[float]:
+    """Values of a parameter to be tried, moved inside its bounds; its start alone if it is held."""
+    held = parameter.prior_sigma <= HELD
+    return [parameter.start] if held else [parameter.at(float(value)).start for value in values]
 
 
 def moved_inside(

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from inference.refinement.problem import Problem, started_from
+from inference.refinement.problem import HELD, Problem, started_from
 from inference.refinement.result import StageEstimate, deviation_of
 from inference.refinement.stages import Arrays, RefinementRun, Scanned, arrays_of_scan, scan_of
 from physconvex import ConvergenceError, InputError
@@ -28,7 +28,7 @@ from physconvex.identify import (
 )
 
 _MODULUS, _RATIO = "log10_youngs_modulus", "poisson_ratio"
-HELD, _WITHIN = 1e-3, 5e-3  # of ν that is held: standard deviation of its prior, distance of its bounds
+_WITHIN = 5e-3  # distance of the bounds of ν that is held
 _CHEAP_WEIGHTS = 6
 _AROUND = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0)  # decades; eigenmodes are too stiff in contact, so that E must be larger
 _USUAL_RATIO = 0.3

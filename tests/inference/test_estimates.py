@@ -8,7 +8,7 @@ import pytest
 
 from inference import RefinementRun, RefineOptions, Stages
 from inference.refinement import estimates, meshes
-from inference.refinement.reduced_search import HELD
+from inference.refinement.problem import HELD
 from physconvex import ConvergenceError
 from physconvex.identify import default_parameter
 from physconvex.mesh import box_mesh, filled, to_quadratic

@@ -10,7 +10,7 @@ import trimesh
 
 from inference import RefinementRun, RefineOptions, refine
 from inference.refinement import fine_fit, meshes
-from inference.refinement.problem import Problem
+from inference.refinement.problem import HELD, Problem
 from physconvex import ConvergenceError
 from physconvex.fem import SurfacePoints
 from physconvex.identify import FullModel, TwinOptions, base_twin, default_parameter
@@ -92,6 +92,21 @@ def test_the_search_on_more_nodes_begins_at_the_best_of_the_materials_about(free
     assert fine_fit._material(problem, None, np.array(begun)) == pytest.approx(best)
     bounds = [(p.lower, p.upper) for p in problem.parameters]
     assert all(low <= v <= high for c in tried for v, (low, high) in zip(c, bounds, strict=True))
+
+
+@pytest.mark.wrong_types  # a stand-in for a problem
+def test_a_ratio_that_is_held_stays_among_the_materials_about(monkeypatch):
+    asked = []
+
+    def misfits_of(problem, model, candidates):
+        asked.extend(candidates)
+        return [abs(candidate[0] - 6.35) for candidate in candidates]
+
+    monkeypatch.setattr(fine_fit, "misfits_of", misfits_of)
+    modulus, ratio = (default_parameter(name) for name in NAMES)
+    problem = SimpleNamespace(parameters=(modulus, replace(ratio, prior_mean=0.38, prior_sigma=HELD)))
+    assert fine_fit._material(problem, None, np.array([6.7, 0.38])) == pytest.approx([6.4, 0.38])
+    assert {float(values[1]) for values in asked} == {0.38}
 
 
 @pytest.mark.wrong_types  # stand-ins for a problem and its models

@@ -1,5 +1,6 @@
 """Colours that lose a body after a contact, and where the search begins again."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from inference import RefinementRun
 from inference.refinement import colour_search
 from inference.refinement.colour_search import blur_for, colours_lost, materials_about
+from inference.refinement.problem import HELD
 from physconvex.identify import ColourObservations, StackedObservations, default_parameter
 from physconvex.io import look_at
 
@@ -50,6 +52,13 @@ def test_what_is_fixed_stays(problem):
     problem.parameters = problem.parameters[:2]
     values = np.array(materials_about(problem, found_at([6.0, 0.1], NAMES[:2])))
     assert values.shape == (1 + 3 * 2, 2)
+
+
+def test_a_ratio_that_is_held_is_not_varied(problem):
+    modulus, ratio, damping = problem.parameters
+    problem.parameters = modulus, replace(ratio, prior_mean=0.38, prior_sigma=HELD), damping
+    values = np.array(materials_about(problem, found_at([6.0, 0.38, 2e-4])))
+    assert len(values) == 1 + 3 * 3 and set(values[:, 1]) == {0.38}
 
 
 def test_the_damping_stays_within_its_bounds(problem):
