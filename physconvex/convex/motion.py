@@ -15,7 +15,7 @@ from torch import Tensor
 from physconvex.convex.field import ConvexField, numbers
 from physconvex.convex.spherical_harmonics import rotate_harmonics
 from physconvex.errors import InputError
-from physconvex.mesh import Embedding, TetMesh, locate, shape_gradients
+from physconvex.mesh import Embedding, Places, TetMesh, locate, shape_gradients
 from physconvex.reduced import ReducedSpace
 
 _NEWTON_STEPS = 8  # of the polar decomposition; more are not needed unless F is nearly flat
@@ -135,19 +135,21 @@ def bind_to_tets(field: ConvexField, mesh: TetMesh) -> BoundField:
     `BoundField.at` then takes nodal positions [V, 3], such as `Trajectory.positions[t]`.
     """
     embedding = Embedding.of_points(mesh, numbers(field.points).reshape(-1, 3))
-    return BoundField(field, embedding.matrix, _tet_gradients(mesh, numbers(field.centres)), embedding.max_distance)
+    return BoundField(
+        field, embedding.matrix, _tet_gradients(mesh, locate(mesh, numbers(field.centres))), embedding.max_distance
+    )
 
 
-def _tet_gradients(mesh: TetMesh, points: Float[np.ndarray, "P 3"]) -> csr_matrix:
-    """∂/∂X_j at rest positions from nodal positions, shape [P 3, V], row 3 p + j, 1/m."""
-    elements, _, anchors, _ = locate(mesh, points)
+def _tet_gradients(mesh: TetMesh, places: Places) -> csr_matrix:
+    """∂/∂X_j at located points from nodal positions, shape [P 3, V], row 3 p + j, 1/m."""
+    elements, _, anchors, _ = places
     corners = mesh.vertices[mesh.corner_tets[elements]]
     inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))  # rows: gradients of λ_1 to λ_3
     slopes = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
     gradients = np.einsum("pnk,pkj->pjn", shape_gradients(anchors, mesh.order), slopes)  # [P, 3, n]
     nodes = np.repeat(mesh.tets[elements][:, None], 3, axis=1)
     rows = np.arange(0, gradients.size + 1, gradients.shape[2])
-    return csr_matrix((gradients.ravel(), nodes.ravel(), rows), shape=(3 * len(points), len(mesh.vertices)))
+    return csr_matrix((gradients.ravel(), nodes.ravel(), rows), shape=(3 * len(elements), len(mesh.vertices)))
 
 
 def bind_to_space(field: ConvexField, space: ReducedSpace) -> BoundField:
@@ -180,9 +182,10 @@ def tet_map(mesh: TetMesh, positions: Float[np.ndarray, "*T V 3"]) -> Deformatio
     def deform(points: Tensor) -> tuple[Tensor, Tensor]:
         rest, shape = numbers(points), np.shape(positions)[:-2]
         by_nodes = np.moveaxis(states, 0, 1).reshape(len(mesh.vertices), -1)  # [V, T 3]
-        slopes = (_tet_gradients(mesh, rest) @ by_nodes).reshape(len(rest), 3, len(states), 3)  # [P, j, T, i]
+        places = locate(mesh, rest)
+        slopes = (_tet_gradients(mesh, places) @ by_nodes).reshape(len(rest), 3, len(states), 3)  # [P, j, T, i]
         gradients = slopes.transpose(2, 0, 3, 1).reshape(*shape, len(rest), 3, 3)
-        moved = Embedding.of_points(mesh, rest).apply(states).reshape(*shape, len(rest), 3)
+        moved = Embedding.at_places(mesh, places).apply(states).reshape(*shape, len(rest), 3)
         return torch.as_tensor(moved).to(points), torch.as_tensor(gradients).to(points)
 
     return deform

@@ -5,7 +5,12 @@ from .elements import (
     shape_values as shape_values,
     unit_mass as unit_mass,
 )
-from .embedding import Embedding as Embedding, locate as locate, sample_interior as sample_interior
+from .embedding import (
+    Embedding as Embedding,
+    Places as Places,
+    locate as locate,
+    sample_interior as sample_interior,
+)
 from .filling import filled as filled
 from .implicit_meshing import tetrahedralize_implicit as tetrahedralize_implicit
 from .meshing import (

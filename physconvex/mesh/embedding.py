@@ -19,6 +19,9 @@ from physconvex.numerics import closest_points
 # coordinates) still counts as inside.
 CANDIDATES, BLOCK, TOLERANCE = 32, 2_000_000, -1e-9
 
+Places = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""What `locate` returns."""
+
 
 @dataclass(frozen=True)
 class Embedding:
@@ -53,7 +56,12 @@ class Embedding:
         points = np.asarray(points, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise InputError(f"points: got shape {points.shape}; expected finite [P, 3] in metres")
-        elements, barycentric, anchors, distance = locate(mesh, points)
+        return cls.at_places(mesh, locate(mesh, points))
+
+    @classmethod
+    def at_places(cls, mesh: TetMesh, places: Places) -> Embedding:
+        """The points that `locate` has found."""
+        elements, barycentric, anchors, distance = places
         return cls(
             elements=elements,
             weights=continued_shape_values(barycentric, anchors, distance > 0, mesh.order),
@@ -130,7 +138,7 @@ def continued_shape_values(barycentric: np.ndarray, anchors: np.ndarray, outside
     return values
 
 
-def locate(mesh: TetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def locate(mesh: TetMesh, points: np.ndarray) -> Places:
     """Location of every point in the mesh.
 
     Returns:
