@@ -15,9 +15,9 @@ from physconvex.mesh.elements import shape_gradients, shape_values
 from physconvex.mesh.tet_mesh import FACE_CORNERS, TetMesh
 from physconvex.numerics import closest_points
 
-# Faces tried per point (nearest centres first), pairs of both handled at once, and how far outside (in barycentric
-# coordinates) still counts as inside.
-CANDIDATES, BLOCK, TOLERANCE = 32, 2_000_000, -1e-9
+# Faces tried per point (nearest centres first), pairs of both handled at once, how far outside (in barycentric
+# coordinates) still counts as inside, and elements tried first.
+CANDIDATES, BLOCK, TOLERANCE, NEAREST = 32, 2_000_000, -1e-9, 6
 
 Places = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """What `locate` returns."""
@@ -171,11 +171,19 @@ def _inverse_edges(corners: np.ndarray) -> np.ndarray:
 
 
 def _deepest(corners: np.ndarray, inverse: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """For each point the element in whose ball it is deepest [P], and the depth [P], -inf outside all of them."""
+    """For each point the element in whose ball it is deepest [P], and the depth [P], -inf outside all of them.
+
+    Elements do not overlap, so that none is deeper than one that holds the point: most are among the nearest.
+    """
     centres, every = corners.mean(axis=1), np.arange(len(corners))
+    near = cKDTree(centres).query(points, k=[*range(1, min(NEAREST, len(corners)) + 1)])[1]
+    depths = np.stack([_barycentric(corners, inverse, cells, points).min(axis=1) for cells in near.T], axis=1)
+    best = depths.argmax(axis=1)
+    elements, depth = near[np.arange(len(points)), best], depths[np.arange(len(points)), best]
+    rest = np.flatnonzero(depth <= -TOLERANCE)
     reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1) * (1 + 1e-9)
-    elements, depth = np.zeros(len(points), dtype=np.int64), np.full(len(points), -np.inf)
-    for block in np.array_split(np.arange(len(points)), 1 + len(points) * CANDIDATES // BLOCK):
+    elements[rest], depth[rest] = 0, -np.inf
+    for block in np.array_split(rest, 1 + len(rest) * CANDIDATES // BLOCK):
         near = cKDTree(points[block]).query_ball_point(centres, reach)
         if not any(near):
             continue
