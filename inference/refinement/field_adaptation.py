@@ -14,7 +14,7 @@ from physconvex.io import Camera, Capture
 from physconvex.reconstruction import psnr
 
 _DISTANCE = 0.5  # of a pixel: a convex that is nearer to an affine motion stays whole
-_GROWTH, _LEAST = 2, 4000  # most convexes after splitting: times those given, and at least
+_GROWTH, _LEAST = 1.25, 4000  # most convexes after splitting: times those given, and at least
 _COMPARED = 5  # observed frames
 
 
@@ -31,7 +31,7 @@ def with_split_convexes(appearance: Appearance, capture: Capture) -> Appearance:
     pixel = min(float(np.linalg.norm(np.asarray(c.position) - middle)) / c.fl_y for c in cameras)
     distance, count = _DISTANCE * pixel, len(appearance.field)
     frames = bent_frames(mesh.vertices, nodes, distance=distance)
-    limit = max(_GROWTH * count, _LEAST)
+    limit = max(round(_GROWTH * count), _LEAST)
     found = adapt_to_motion(appearance.field, tet_map(mesh, nodes[frames]), distance=distance, limit=limit)
     gain, changed = 0.0, replace(appearance, field=found.field)
     if found.split > found.given:
