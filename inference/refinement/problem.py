@@ -26,7 +26,7 @@ from physconvex.identify import (
 from physconvex.mesh import TetMesh
 from physconvex.reduced import parameter_values
 
-HELD = 1e-3  # standard deviation of the prior of a value that is held
+HELD = 1e-4  # standard deviation of the prior of a value that is held
 
 
 @dataclass(frozen=True, eq=False)
