@@ -7,6 +7,7 @@ finished (`OUT/objects/NAME.json`), so that an evaluation can be stopped.
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -101,7 +102,10 @@ def _claim(file: Path, options: PaperOptions) -> None:
         raise InputError(
             f"{file.parent}: holds an evaluation with other options ({', '.join(others)}); choose another folder"
         )
-    file.write_text(json.dumps(held | settings, indent=1) + "\n", encoding="utf-8")
+    if held != held | settings:
+        unfinished = file.with_suffix(f".{os.getpid()}")  # others may read it meanwhile
+        unfinished.write_text(json.dumps(held | settings, indent=1) + "\n", encoding="utf-8")
+        unfinished.replace(file)
 
 
 def _comparisons(options: PaperOptions) -> tuple[str, ...]:
