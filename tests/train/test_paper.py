@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from typer.testing import CliRunner
 from physconvex import InputError
 from physconvex.io import load_capture, read_mesh
 from train import PaperOptions, evaluate_paper
-from train.paper import published
+from train.paper import evaluation, published
 from train.paper.published_way import WAYS
 from train.paper.rows import ObjectRow
 from train.paper.tables import markdown, summary
@@ -151,6 +152,22 @@ def test_a_capture_holds_as_many_videos_as_are_observed(benchmark, tmp_path):
     assert [camera.name for camera in capture.recorded] == ["view0", "view2"]
     with pytest.raises(InputError, match="observed_views: got 5; expected at most views = 4"):
         sizes.replace(observed_views=5)
+
+
+def test_settings_are_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    """Another evaluation of the same folder reads them meanwhile."""
+    file, fewer = tmp_path / "options.json", SMALL.replace(adam_steps=0)
+    evaluation._claim(file, fewer)
+    before = file.read_text()
+
+    def killed(self, target):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", killed)
+    evaluation._claim(file, fewer)  # nothing is new
+    with pytest.raises(KeyboardInterrupt):
+        evaluation._claim(file, SMALL)
+    assert file.read_text() == before
 
 
 @pytest.fixture(scope="module")
