@@ -75,6 +75,15 @@ def test_means_are_of_absolutes_and_failures_are_named():
     assert "| pushed | 1.0 | 200.0 |" in page
 
 
+def test_changes_count_where_the_truth_has_them():
+    """Truths of `generate benchmark --no-changes` beside others."""
+    with_them, without = (row(name, [0.0, 0.0], [True, True], 30.0) for name in ("mug", "lion"))
+    without.parts["corrected"]["changes"] = {}
+    for rows in ([with_them, without], [without, with_them]):
+        assert summary(rows).changes == {"pushed": {"rms_m": pytest.approx(1e-3), "change_rms_m": pytest.approx(0.2)}}
+    assert summary([without]).changes == {}
+
+
 def test_published_numbers_stand_beside_and_are_marked():
     page = markdown([row("mug", [0.02, -0.01], [True, None], 30.0)], "one object")
     assert "| *PhysConvex, published* | 12 | 0.37 | 0.04 | – | 360 (GPU) | 23681 |" in page

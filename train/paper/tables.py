@@ -134,11 +134,12 @@ def summary(rows: Sequence[ObjectRow]) -> Summary:
     _add_pictures(pictures, _FOLLOWED, _parts(rows, _FOLLOWED, "pictures"))
     _add_pictures(pictures, _ITSELF, [row.truth_itself for row in rows])
     corrected = _parts(rows, "corrected", "changes")
+    changes = dict.fromkeys(change for part in corrected for change in part["changes"])  # some truths may lack them
     return Summary(
         objects=len(rows),
         identification=identification,
         pictures=pictures,
-        changes={change: _mean_change(corrected, change) for change in (corrected[0]["changes"] if corrected else ())},
+        changes={change: _mean_change(corrected, change) for change in changes},
         failures=[
             f"{row.object}: {name}: {part['failure']}"
             for name in _made(rows)
@@ -178,7 +179,7 @@ def _seconds(row: ObjectRow, way: str) -> float:
 
 
 def _mean_change(corrected: Sequence[PaperPart], change: str) -> dict[str, float]:
-    values = [part["changes"][change] for part in corrected]
+    values = [part["changes"][change] for part in corrected if change in part["changes"]]
     return {
         "rms_m": float(np.mean([value["rms_m"] for value in values])),
         "change_rms_m": float(np.mean([value["change_rms_m"] for value in values])),
