@@ -37,6 +37,9 @@ TELLING = 0.2  # excess of the best correlation over the median that tells all
 # and where one or none shows it; of the bending of the whole, and of the membrane where one or none shows it
 ON_OUTLINE, UNSURE, UNSEEN, BENDING, MEMBRANE = 0.5, 0.002, 1e-5, 0.05, 0.003
 
+PlacedNormals = tuple[Float[np.ndarray, "Q 3"], Float[np.ndarray, "Q 3"]]
+"""Places on a surface [m] and its normals there."""
+
 
 def moved_to_agreement(
     surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float
@@ -70,25 +73,20 @@ def colours_seen(
     surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float
 ) -> Float[np.ndarray, "V 3"]:
     """Colour of each vertex, 0 to 1: the mean over the views by the squared cosine; unseen ones by their neighbours."""
-    total, weight = colour_sums(surface, observations, surface.vertices, surface.vertex_normals, cell=cell)
+    total, weight = colour_sums(surface, observations, (surface.vertices, surface.vertex_normals), cell=cell)
     across = edge_differences(surface.edges_unique, len(total))
     spread = sparse.diags(weight + 1e-9) + 1e-3 * across.T @ across
     return np.clip(splu(spread.tocsc()).solve(total), 0, 1)
 
 
 def colour_sums(
-    surface: trimesh.Trimesh,
-    observations: Sequence[Observation],
-    positions: Float[np.ndarray, "Q 3"],
-    normals: Float[np.ndarray, "Q 3"],
-    *,
-    cell: float,
+    surface: trimesh.Trimesh, observations: Sequence[Observation], at: PlacedNormals, *, cell: float
 ) -> tuple[Float[np.ndarray, "Q 3"], Float[np.ndarray, " Q"]]:
-    """Sums over the views of the colours at places on the surface [m] by the squared cosine, and of the weights."""
-    cosines = _shown(_facing(surface, observations, np.asarray(positions), np.asarray(normals), cell=cell))
+    """Sums over the views of the colours at places on the surface by the squared cosine, and of the weights."""
+    cosines = _shown(facing(surface, observations, cell=cell, at=at))
     total = np.zeros((len(cosines), 3))
     for cosine, seen in zip(cosines.T, observations, strict=True):
-        total += cosine[:, None] ** 2 * _sampled(seen, np.asarray(positions)).numpy()
+        total += cosine[:, None] ** 2 * _sampled(seen, np.asarray(at[0])).numpy()
     return total, np.square(cosines).sum(axis=1)
 
 
@@ -114,10 +112,7 @@ def colour_spread(
     colours = np.stack([_sampled(seen, places).numpy() for seen in observations], axis=1)  # [V, C, 3]
     apart = colours - np.einsum("vc,vci->vi", weights, colours)[:, None]
     spread = np.sqrt(np.einsum("vc,vci->v", weights, apart**2))
-    means = _neighbour_means(surface.edges_unique, len(places))
-    for _ in range(EVENED):
-        spread = 0.5 * (spread + means @ spread)
-    return spread
+    return _evened(spread, _neighbour_means(surface.edges_unique, len(places)), EVENED)
 
 
 def nearest_pixels(camera: Camera, positions: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
@@ -127,20 +122,11 @@ def nearest_pixels(camera: Camera, positions: np.ndarray) -> tuple[tuple[np.ndar
     return (rows, columns), depths
 
 
-def facing(surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float) -> Float[np.ndarray, "V C"]:
-    """Cosine between normal and ray to each camera; NaN if hidden."""
-    return _facing(surface, observations, np.asarray(surface.vertices), np.asarray(surface.vertex_normals), cell=cell)
-
-
-def _facing(
-    surface: trimesh.Trimesh,
-    observations: Sequence[Observation],
-    positions: Float[np.ndarray, "Q 3"],
-    normals: Float[np.ndarray, "Q 3"],
-    *,
-    cell: float,
+def facing(
+    surface: trimesh.Trimesh, observations: Sequence[Observation], *, cell: float, at: PlacedNormals | None = None
 ) -> Float[np.ndarray, "Q C"]:
-    """The same at places on the surface [m]."""
+    """Cosine between normal and ray to each camera, at the vertices or at other places; NaN if hidden."""
+    positions, normals = map(np.asarray, (surface.vertices, surface.vertex_normals) if at is None else at)
     pixel = footprint(observations)
     points, _ = trimesh.sample.sample_surface(surface, int(8 * surface.area / pixel**2), seed=0)
     cosines = np.zeros((len(positions), len(observations)))
@@ -215,9 +201,8 @@ def _best_offsets(
     The best place at the outer end says nothing; that at the inner end says that the surface lies farther inside.
     """
     known = np.isfinite(scores).all(axis=1)
-    shared, weight = np.where(known[:, None], scores, 0.0), known.astype(float)
-    for _ in range(SHARED):
-        shared, weight = 0.5 * (shared + means @ shared), 0.5 * (weight + means @ weight)
+    shared = _evened(np.where(known[:, None], scores, 0.0), means, SHARED)
+    weight = _evened(known.astype(float), means, SHARED)
     shared /= np.maximum(weight, 1e-6)[:, None]
     rows, best = np.arange(len(scores)), shared.argmax(axis=1)
     middle = np.clip(best, 1, len(offsets) - 2)
@@ -242,6 +227,13 @@ def edge_differences(edges: Int[np.ndarray, "E 2"], count: int) -> sparse.spmatr
     """Difference of the vertices of each edge, [E, count]."""
     rows = np.arange(len(edges)).repeat(2)
     return sparse.csr_matrix((np.tile([1.0, -1.0], len(edges)), (rows, edges.ravel())), (len(edges), count))
+
+
+def _evened(values: np.ndarray, means: sparse.spmatrix, rounds: int) -> np.ndarray:
+    """Values of vertices, averaged with the means of their neighbours."""
+    for _ in range(rounds):
+        values = 0.5 * (values + means @ values)
+    return values
 
 
 def _neighbour_means(edges: Int[np.ndarray, "E 2"], count: int) -> sparse.spmatrix:

@@ -40,7 +40,7 @@ def textured(surface: trimesh.Trimesh, observations: Sequence[Observation], *, s
         for values in (surface.vertices, surface.vertex_normals, surface.visual.vertex_colors[:, :3] / 255)
     )
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    total, weight = colour_sums(surface, observations, positions, normals, cell=cell_of(observations))
+    total, weight = colour_sums(surface, observations, (positions, normals), cell=cell_of(observations))
     seen = weight > 0
     colours[seen] = total[seen] / weight[seen, None]
     picture, empty = np.zeros((size, size, 3)), np.ones((size, size), dtype=bool)

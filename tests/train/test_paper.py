@@ -179,6 +179,15 @@ def test_settings_are_written_whole_or_not_at_all(tmp_path, monkeypatch):
     assert file.read_text() == before
 
 
+def test_the_published_way_alone_is_computed_with_its_start(benchmark, tmp_path, monkeypatch):
+    """It begins at the network's prediction, and needs no other part; `comparisons` leaves it in where it is named."""
+    monkeypatch.setattr(evaluation._Object, "_network", lambda _: {"values": [5.0, 0.3]})
+    monkeypatch.setattr(evaluation._Object, "_published_way", lambda self, way: dict(self.row.parts["network"]))
+    (found,) = evaluate_paper(benchmark, tmp_path, SMALL, parts=["published_way"], comparisons=False)
+    assert list(found.parts) == ["network", "published_way"]
+    assert found.parts["published_way"]["values"] == [5.0, 0.3]
+
+
 @pytest.fixture(scope="module")
 def evaluated(benchmark, tmp_path_factory):
     """The evaluation of a benchmark whose second object is not made yet: (folder, parts in order, what it returned)."""

@@ -7,7 +7,6 @@ finished (`OUT/objects/NAME.json`), so that an evaluation can be stopped.
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -30,7 +29,7 @@ from physconvex.mesh import Embedding, TetMesh
 from train.options import PaperOptions
 from train.paper.pictures import score_pictures
 from train.paper.published_way import NAMES, WAYS, PublishedFit, PublishedOptions, fit_as_published
-from train.paper.rows import Change, ObjectRow, PaperPart, PictureScores
+from train.paper.rows import Change, ObjectRow, PaperPart, PictureScores, write_whole
 
 CONSTANT = (5.5, 0.345)  # the middle of the ranges 1e4 to 1e7 Pa and .2 to .49
 POINTS = 6  # per convex, of the main columns
@@ -75,15 +74,13 @@ def evaluate_paper(
         raise InputError(f"objects: {', '.join(unknown)}: not in {benchmark}; expected some of {', '.join(every)}")
     (out / "objects").mkdir(parents=True, exist_ok=True)
     _claim(out / "options.json", options)
-    known = (*MAIN, *_comparisons(options))
+    compared = _comparisons(options)
+    known = (*MAIN, *compared)
     unknown = sorted(set(parts or ()) - set(known))
     if unknown:
         raise InputError(f"parts: {', '.join(unknown)}: unknown; expected some of {', '.join(known)}")
     made = [name for name in names or every if (benchmark / "truth" / name / "truth.json").exists()]
-    for group in (
-        MAIN,
-        _comparisons(options) if comparisons or parts else (),
-    ):  # first the main tables, for all objects
+    for group in (MAIN, compared if comparisons or parts else ()):  # first the main tables, for all objects
         wanted = [part for part in group if parts is None or part in parts]
         for name in made if wanted else ():
             _Object(benchmark, out, name, options, on_part).evaluate(wanted)
@@ -103,9 +100,7 @@ def _claim(file: Path, options: PaperOptions) -> None:
             f"{file.parent}: holds an evaluation with other options ({', '.join(others)}); choose another folder"
         )
     if held != held | settings:
-        unfinished = file.with_suffix(f".{os.getpid()}")  # others may read it meanwhile
-        unfinished.write_text(json.dumps(held | settings, indent=1) + "\n", encoding="utf-8")
-        unfinished.replace(file)
+        write_whole(file, held | settings)
 
 
 def _comparisons(options: PaperOptions) -> tuple[str, ...]:
@@ -149,17 +144,14 @@ class _Object:
     def _known(self) -> dict[str, Callable[[], PaperPart]]:
         """How each part is computed."""
         options, front = self.options, self.cameras[:1]
-        main = (
-            partial(self._reconstruction, POINTS),
-            self._constant,
-            self._network,
-            partial(self._convex_twin, POINTS, options.weights, self.cameras),
-            self._corrected,
-            self._followed,
-            self._given_mesh,
-        )
         return {
-            **dict(zip(MAIN, main, strict=True)),
+            "reconstruction": partial(self._reconstruction, POINTS),
+            "constant": self._constant,
+            "network": self._network,
+            "convex_twin": partial(self._convex_twin, POINTS, options.weights, self.cameras),
+            "corrected": self._corrected,
+            "followed": self._followed,
+            "given_mesh": self._given_mesh,
             **{way: partial(self._published_way, way) for way in WAYS},
             **{f"reconstruction_K{k}": partial(self._reconstruction, k) for k, _ in options.pairs},
             **{f"convex_K{k}_M{m}": partial(self._convex_twin, k, m, front) for k, m in options.pairs},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -102,11 +103,16 @@ class ObjectRow:
 
     def write(self, file: Path) -> None:
         """To its file, whole or not at all."""
-        unfinished = file.with_suffix(".part")
-        unfinished.write_text(json.dumps(self.to_json(), indent=1) + "\n", encoding="utf-8")
-        unfinished.replace(file)
+        write_whole(file, self.to_json())
 
     def with_part(self, name: str, key: str) -> PaperPart | None:
         """A part with that entry; None if it is missing or failed."""
         part = self.parts.get(name)
         return part if part is not None and key in part else None
+
+
+def write_whole(file: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON, whole or not at all, since another process may read it meanwhile."""
+    unfinished = file.with_suffix(f".{os.getpid()}.part")
+    unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    unfinished.replace(file)
