@@ -109,7 +109,7 @@ class _WeightsRollOut(torch.autograd.Function):
         sweep = Sweep(ctx.recorded.scene, ctx.names, field)
         first = ctx.recorded.swept(sweep, ctx.shapes.T @ by_position)
         named = sweep.finish(trajectory, 0.0, first).named
-        seen = np.einsum("tni,tri->nr", by_position, trajectory.coordinates)
+        seen = np.tensordot(by_position, trajectory.coordinates, ((0, 2), (0, 2)))
         weights, slopes = field.finish(sweep.products)
         weights = np.concatenate([weights, trajectory.space.weights_of_values(ctx.points, seen)])
         by_weights, by_slopes, by_values = (torch.as_tensor(part).to(ctx.like) for part in (weights, slopes, named))

@@ -38,7 +38,10 @@ class NeuralWeights:
 
     def __call__(self, points: Float[Tensor, "P 3"]) -> Float[Tensor, "P M"]:
         """Values [-] at rest positions [m], differentiable by torch, also by `layers` that require gradients."""
-        return self.with_slopes(points)[0]
+        values = (points - torch.as_tensor(self.center)) / self.size
+        for number, (weight, bias) in enumerate(self.layers):
+            values = (values if number == 0 else torch.nn.functional.silu(values)) @ weight.mT + bias
+        return values
 
     def with_slopes(self, points: Float[Tensor, "P 3"]) -> tuple[Float[Tensor, "P M"], Float[Tensor, "P M 3"]]:
         """Values [-] and exact gradients [1/m] at rest positions [m], differentiable by torch."""
