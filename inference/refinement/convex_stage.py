@@ -11,7 +11,7 @@ import torch
 
 from inference.refinement.appearance import RestField
 from inference.refinement.observations import Observed
-from inference.refinement.problem import HELD, Problem, started_from
+from inference.refinement.problem import Problem, is_held, started_from
 from inference.refinement.reduced_search import with_predicted_ratio
 from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import ConvergenceError, InputError
@@ -146,7 +146,7 @@ def _begun(run: RefinementRun, problem: Problem, start: Fit, candidates: Sequenc
     than the body, by a part of the speed at the contact. Drift that explains every rebound would leave E to the small
     deformation alone, so the smallest is taken that explains about as much.
     """
-    means = np.array([p.prior_mean if p.prior_sigma <= HELD else np.nan for p in problem.parameters])
+    means = np.array([p.prior_mean if is_held(p) else np.nan for p in problem.parameters])
     candidates = [np.where(np.isnan(means), values, means) for values in candidates]
     candidates = list({tuple(np.round(values, 6)): values for values in candidates}.values())
     found = run.stages.run("convex_start", lambda: _started(run, problem, candidates))

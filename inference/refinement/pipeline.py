@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from inference.prediction import Prediction
-from inference.reconstruction import FIELD
+from inference.reconstruction import FIELD, Reconstruction
 from inference.refinement.appearance import RestField, appearance_of
 from inference.refinement.coarse_start import START_OPTIONS, coarse_start
 from inference.refinement.colour_search import fit_colours
@@ -57,7 +57,7 @@ from physconvex.identify import (
     roll_out_together,
     with_free_friction,
 )
-from physconvex.io import Workers, load_capture
+from physconvex.io import Capture, Workers, load_capture
 from physconvex.numerics import device_named
 from physconvex.reduced import parameter_values
 
@@ -113,7 +113,9 @@ def refine(
     capture, made = rest_geometry_of(
         capture, body=options.body, out=folder, options=options.reconstruction, on_stage=on_stage
     )
-    warnings += [] if made is None else made.warnings
+    if made is not None:
+        warnings += made.warnings
+        options = _with_free_height(options, capture, made)
     settings = {name: value for name, value in options.to_json().items() if name not in _WHERE}
     if capture.body is not None:
         settings["body"] = capture.body.identifier_hash
@@ -122,6 +124,15 @@ def refine(
     stages = Stages(folder, key_of(capture.folder, settings), on_stage)
     with Workers(options.processes) as workers:
         return _refined(RefinementRun(capture, options, stages, workers, warnings, made))
+
+
+def _with_free_height(options: RefineOptions, capture: Capture, made: Reconstruction) -> RefineOptions:
+    """The floor's height free within the error of the reconstructed body, which decides when it lands."""
+    floor, name = capture.floor, "floor_height"
+    if floor is None or made.error is None or capture.boundary() is not None or _stated(name, options):
+        return options
+    height = float(np.dot(floor.point, floor.normal))
+    return options.replace(free=(*options.free, name), priors={name: (height, made.error.deviation), **options.priors})
 
 
 def _stated(name: str, options: RefineOptions) -> bool:

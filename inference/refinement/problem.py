@@ -26,7 +26,7 @@ from physconvex.identify import (
 from physconvex.mesh import TetMesh
 from physconvex.reduced import parameter_values
 
-HELD = 1e-4  # standard deviation of the prior of a value that is held
+HELD = 1e-3  # standard deviation of the prior of a value that is held, in typical steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,10 +120,14 @@ def started_from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Paramet
     return tuple(p.at(float(v)) for p, v in zip(parameters, found.values, strict=True))
 
 
+def is_held(parameter: Parameter) -> bool:
+    """Whether a parameter keeps its value in all fits."""
+    return parameter.prior_sigma <= HELD * parameter.step
+
+
 def tried(parameter: Parameter, values: Sequence[float]) -> list[float]:
     """Values of a parameter to be tried, moved inside its bounds; its start alone if it is held."""
-    held = parameter.prior_sigma <= HELD
-    return [parameter.start] if held else [parameter.at(float(value)).start for value in values]
+    return [parameter.start] if is_held(parameter) else [parameter.at(float(value)).start for value in values]
 
 
 def moved_inside(

@@ -217,7 +217,7 @@ def with_predicted_ratio(run: RefinementRun, problem: Problem) -> tuple[Problem,
         return problem, None
     value, sigma = free.at(told.poisson_ratio).start, deviation_of(interval)
     parameters[_RATIO] = replace(
-        free, start=value, lower=value - _WITHIN, upper=value + _WITHIN, prior_mean=value, prior_sigma=HELD
+        free, start=value, lower=value - _WITHIN, upper=value + _WITHIN, prior_mean=value, prior_sigma=HELD * free.step
     )
     run.warnings.append(
         f"Poisson's ratio is the network's, {value:.2f} ± {sigma:.2f}, and is not fitted; a prior of your own "

@@ -29,6 +29,7 @@ UNITS = {
     "damping_time": "s",
     "air_drag": "1/s",
     "friction": "1",
+    "floor_height": "m",
     "contact_damping": "s",
     "log10_contact_stiffness": "log10(Pa/m)",
     "gravity": "m/s^2",

@@ -25,6 +25,7 @@ _MATERIAL = {
     "damping_time": (1e-3, 0.0, 0.1, 2e-3),
     "air_drag": (0.05, 0.0, 10.0, 0.1),
     "friction": (0.3, 1e-3, 2.0, 0.1),  # a frictionless floor has no derivative by it
+    "floor_height": (0.0, -_INF, _INF, 0.01),
     "contact_damping": (1e-3, 1e-6, 0.5, 1e-3),
     "log10_contact_stiffness": (7.0, 3.0, 11.0, 0.3),
 }

@@ -55,6 +55,12 @@ class SurfaceError:
         """Share of the area that fewer than two pictures show."""
         return float(self.areas[self.views < AGREE].sum() / self.areas.sum())
 
+    @property
+    def deviation(self) -> float:
+        """Root of the variance's mean over the surface [m]."""
+        unseen = float(self.areas @ np.square(self.unseen) / self.areas.sum())
+        return float(np.sqrt(self.common**2 + self.local**2 + unseen))
+
     def displacements(
         self, vertices: Float[np.ndarray, "V 3"], *, draws: int, generator: np.random.Generator
     ) -> tuple[tuple[float, Float[np.ndarray, " V"]], ...]:

@@ -160,8 +160,8 @@ class Sweep:
         probes = np.zeros((3, 9 + named, len(surface), 3))  # of x, v at freezing, and the present velocity
         for row in range(9):
             probes[row // 3, row, :, row % 3] = 1.0
-        changes = np.zeros((3, 9 + named))
-        changes[:, 9:] = self.derivatives.dlog_stiffness, self.derivatives.dfriction, self.derivatives.ddamping
+        changes, given = np.zeros((4, 9 + named)), self.derivatives
+        changes[:, 9:] = given.dlog_stiffness, given.dfriction, given.ddamping, given.drise
         frozen = FreezeTangent(surface @ y, surface @ v, time, probes[0], probes[1], *changes)
         maps = friction_tangent(contact, frozen, surface @ present, probes[2])
         pulled = (maps * (surface @ force_bar)).sum(-1)  # [9 + P, S]

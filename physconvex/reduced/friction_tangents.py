@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import Contact, Obstacle
+from physconvex.dynamics import Contact, Obstacle, Plane
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,7 @@ class FreezeTangent:
         dlog_stiffness: derivative of ln kc, shape [P].
         dfriction: derivative of the friction coefficients, shape [P].
         ddamping: derivative of the dashpot's time τ [s], shape [P].
+        drise: derivative of the height of planes [m], shape [P].
     """
 
     x: Float[np.ndarray, "S 3"]
@@ -38,6 +39,7 @@ class FreezeTangent:
     dlog_stiffness: Float[np.ndarray, " P"]
     dfriction: Float[np.ndarray, " P"]
     ddamping: Float[np.ndarray, " P"]
+    drise: Float[np.ndarray, " P"]
 
 
 def friction_tangent(
@@ -79,7 +81,7 @@ class _Touching:
         nodes, depth: their indices, and p [m].
         friction, belt: coefficient of the obstacle, and its velocity [m/s].
         normals, dnormals: n and its derivatives.
-        dx: derivatives of the positions.
+        dx: derivatives of the positions, relative to a plane that rises.
         slip, dslip: velocity over the belt, and the derivatives of the points' velocities.
         frozen: state at which friction is frozen.
     """
@@ -88,6 +90,8 @@ class _Touching:
         self.nodes, self.depth, self.friction, self.frozen = nodes, depth, obstacle.friction, frozen
         x, time = frozen.x[nodes], frozen.time
         self.normals, self.belt, self.dx = obstacle.normals(x, time), obstacle.velocity_at(time), frozen.dx[:, nodes]
+        if isinstance(obstacle, Plane):
+            self.dx = self.dx - frozen.drise[:, None, None] * self.normals
         across = self.dx - self.normals * _dot(self.normals, self.dx)
         self.dnormals = obstacle.curvature(x, time)[:, None] * across
         self.slip, self.dslip = frozen.v[nodes] - self.belt, frozen.dv[:, nodes]

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import Wind
+from physconvex.dynamics import Obstacle, Plane, Wind
 from physconvex.errors import InputError
 from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.scene import ReducedScene
@@ -25,6 +25,7 @@ ParameterName = Literal[
     "air_drag",  # [1/s]
     "contact_damping",  # time of the contact's dashpot [s], which reduces the rebound
     "friction",  # mean coefficient of the obstacles that have one [-]; shifted as a whole
+    "floor_height",  # mean distance of the planes from the origin, along their normals, at t = 0 [m]; shifted as a whole
     "wind_x",
     "wind_y",
     "wind_z",  # velocity of the air [m/s]
@@ -64,6 +65,8 @@ def check_parameters(scene: ReducedScene, names: Sequence[str]) -> None:
         raise InputError("parameters: got 'friction', but no obstacle has a friction coefficient > 0; give it one")
     if "contact_damping" in names and not scene.obstacles:
         raise InputError("parameters: got 'contact_damping', but the scene has no obstacle; give it one")
+    if "floor_height" in names and not planes_of(scene):
+        raise InputError("parameters: got 'floor_height', but the scene has no plane; give it one")
     if any(name.startswith("wind") for name in names) and (scene.wind is None or callable(scene.wind.velocity)):
         raise InputError(
             "parameters: got a wind velocity, but the scene has no constant wind; give it `wind=Wind(...)`"
@@ -105,6 +108,11 @@ def _rough(scene: ReducedScene) -> list[float]:
     return [obstacle.friction for obstacle in scene.obstacles if obstacle.friction > 0]
 
 
+def planes_of(scene: ReducedScene) -> list[Plane]:
+    """The planes among the obstacles."""
+    return [obstacle for obstacle in scene.obstacles if isinstance(obstacle, Plane)]
+
+
 def _wind(scene: ReducedScene) -> Wind:
     assert scene.wind is not None
     return scene.wind
@@ -144,6 +152,8 @@ def _read(scene: ReducedScene, name: str) -> float:
             return float(getattr(scene, name))
         case "friction":
             return float(np.mean(_rough(scene)))
+        case "floor_height":
+            return float(np.mean([np.dot(plane.point, plane.normal) for plane in planes_of(scene)]))
         case "log10_contact_stiffness":
             return float(np.log10(scene.contact().stiffness))
     if _flows_by(body, name):
@@ -186,6 +196,8 @@ def _set(scene: ReducedScene, name: str, value: float) -> ReducedScene:
         case "friction":
             rougher = (replace(o, friction=o.friction + change) if o.friction else o for o in scene.obstacles)
             changed = {"obstacles": tuple(rougher)}
+        case "floor_height":
+            changed = {"obstacles": tuple(_raised(obstacle, change) for obstacle in scene.obstacles)}
         case "log10_contact_stiffness":
             changed = {"contact_stiffness": 10**value}
         case _ if _flows_by(body, name):
@@ -194,6 +206,13 @@ def _set(scene: ReducedScene, name: str, value: float) -> ReducedScene:
         case _:
             changed = _shifted(scene, *axis_of(name), change)
     return replace(scene, **changed)
+
+
+def _raised(obstacle: Obstacle, by: float) -> Obstacle:
+    """A plane moved along its normal; others stay."""
+    if not isinstance(obstacle, Plane):
+        return obstacle
+    return replace(obstacle, point=np.asarray(obstacle.point) + by * np.asarray(obstacle.normal))
 
 
 def _shifted(scene: ReducedScene, stem: str, axis: int, change: float) -> dict[str, Any]:

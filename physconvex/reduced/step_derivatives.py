@@ -15,6 +15,7 @@ from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.friction_tangents import FreezeTangent
 from physconvex.reduced.parameters import axis_of, cells_of, check_parameters, mean_density, region_of
 from physconvex.reduced.scene import ReducedScene
+from physconvex.reduced.surface_contact import by_height_of_planes
 
 _LN10 = float(np.log(10.0))
 
@@ -36,6 +37,7 @@ class StepDerivatives:
         dlog_stiffness: derivative of ln kc, shape [P]; a default contact stiffness follows E unless it is named too.
         dfriction: derivative of the friction coefficients, shape [P].
         ddamping: derivative of the time of the contact's dashpot, shape [P].
+        drise: derivative of the height of planes, shape [P].
         viscous: whether the body is damped, or its damping is a parameter.
 
     Raises:
@@ -54,6 +56,7 @@ class StepDerivatives:
         self._heavier = {name: self._mass_of(name) for name in names if region_of(name)[0] == "density"}
         self.dfriction = np.array([float(name == "friction") for name in names])
         self.ddamping = np.array([float(name == "contact_damping") for name in names])
+        self.drise = np.array([float(name == "floor_height") for name in names])
         self.viscous = scene.damping_time > 0 or "damping_time" in names
         self._moved = self.start().positions
         body, device = self.body, self.body.device
@@ -123,7 +126,7 @@ class StepDerivatives:
     ) -> FreezeTangent:
         """Friction frozen at coordinates y with velocities v, and its derivatives."""
         s = self.surface
-        rates = self.dlog_stiffness, self.dfriction, self.ddamping
+        rates = self.dlog_stiffness, self.dfriction, self.ddamping, self.drise
         return FreezeTangent(s @ y, s @ v, time, s @ dy, s @ dv, *rates)
 
     def explicit(
@@ -185,6 +188,8 @@ class StepDerivatives:
                 return body.mass @ velocity
             case "gravity_x" | "gravity_y" | "gravity_z":
                 return -body.first_moments[:, None] * np.eye(3)[axis_of(name)[1]]
+            case "floor_height":
+                return self.surface.T @ by_height_of_planes(equations.contact, self.surface @ x, equations.time)
             case "wind_x" | "wind_y" | "wind_z":
                 pushed = equations.wind_blocks(velocity) @ np.eye(3)[axis_of(name)[1]]
                 return -(self.surface.T @ pushed)

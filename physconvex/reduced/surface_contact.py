@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import Contact, Friction
+from physconvex.dynamics import Contact, Friction, Plane
 from physconvex.reduced.compiled_body import compiled_surface
 
 
@@ -22,6 +22,17 @@ def contact_blocks(contact: Contact, x: Float[np.ndarray, "S 3"], time: float) -
         tangential = np.eye(3) - normals[:, :, None] * normals[:, None, :]
         blocks += ((pull * normals).sum(1) * bend)[:, None, None] * tangential
     return blocks
+
+
+def by_height_of_planes(contact: Contact, x: Float[np.ndarray, "S 3"], time: float) -> Float[np.ndarray, "S 3"]:
+    """Derivative of the gradient of the contact energy by the height of all planes [N/m]."""
+    out = np.zeros_like(x)
+    for plane in contact.obstacles:
+        if isinstance(plane, Plane):
+            nodes, depth = contact.touching(plane, x, time)
+            rise = contact.areas[nodes] * contact.hinge(depth)[2]
+            out[nodes] -= rise[:, None] * plane.normals(x[nodes], time)
+    return out
 
 
 def add_surface_blocks(
