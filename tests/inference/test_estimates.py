@@ -144,7 +144,7 @@ def test_an_error_of_a_held_ratio_is_one_of_all_that_lean_on_it():
     rng = np.random.default_rng(1)
     by_modulus, by_damping = np.eye(2)[rng.integers(0, 2, 60)].T
     parameters = [default_parameter(name) for name in ("log10_youngs_modulus", "poisson_ratio", "damping_time")]
-    parameters[1] = replace(parameters[1], prior_mean=0.35, prior_sigma=HELD)
+    parameters[1] = replace(parameters[1], prior_mean=0.35, prior_sigma=HELD * parameters[1].step)
     found = SimpleNamespace(
         names=tuple(p.name for p in parameters), parameters=parameters, values=np.array([5.0, 0.35, 0.002]),
         residuals=np.zeros(60), weights=np.ones(60), jacobian=np.stack([by_modulus, -0.4 * by_modulus, by_damping], 1),
@@ -156,7 +156,7 @@ def test_an_error_of_a_held_ratio_is_one_of_all_that_lean_on_it():
 def test_bounds_of_a_held_value_do_not_cut_its_interval():
     parameter = replace(default_parameter("poisson_ratio"), start=0.35, lower=0.345, upper=0.355)
     found = SimpleNamespace(
-        names=("poisson_ratio",), parameters=(replace(parameter, prior_mean=0.35, prior_sigma=HELD),),
+        names=("poisson_ratio",), parameters=(replace(parameter, prior_mean=0.35, prior_sigma=HELD * parameter.step),),
         values=np.array([0.35]), residuals=np.ones(9), weights=np.ones(9), jacobian=np.ones((9, 1)),
         reduced_chi_square=1.0,
     )  # fmt: skip
@@ -165,4 +165,4 @@ def test_bounds_of_a_held_value_do_not_cut_its_interval():
         found, np.array([0.08]), told, np.repeat([0, 1, 2], 3), [slice(0, 9)], stated=[True]
     )
     assert row.interval == pytest.approx((0.35 - 1.645 * 0.08, 0.35 + 1.645 * 0.08), abs=2e-3)
-    assert (row.lower, row.upper) == (0.0, 0.495) and row.prior == (0.35, HELD)
+    assert (row.lower, row.upper) == (0.0, 0.495) and row.prior == (0.35, HELD * parameter.step)

@@ -104,7 +104,7 @@ def test_a_ratio_that_is_held_stays_among_the_materials_about(monkeypatch):
 
     monkeypatch.setattr(fine_fit, "misfits_of", misfits_of)
     modulus, ratio = (default_parameter(name) for name in NAMES)
-    problem = SimpleNamespace(parameters=(modulus, replace(ratio, prior_mean=0.38, prior_sigma=HELD)))
+    problem = SimpleNamespace(parameters=(modulus, replace(ratio, prior_mean=0.38, prior_sigma=HELD * ratio.step)))
     assert fine_fit._material(problem, None, np.array([6.7, 0.38])) == pytest.approx([6.4, 0.38])
     assert {float(values[1]) for values in asked} == {0.38}
 

@@ -56,7 +56,7 @@ def test_what_is_fixed_stays(problem):
 
 def test_a_ratio_that_is_held_is_not_varied(problem):
     modulus, ratio, damping = problem.parameters
-    problem.parameters = modulus, replace(ratio, prior_mean=0.38, prior_sigma=HELD), damping
+    problem.parameters = modulus, replace(ratio, prior_mean=0.38, prior_sigma=HELD * ratio.step), damping
     values = np.array(materials_about(problem, found_at([6.0, 0.38, 2e-4])))
     assert len(values) == 1 + 3 * 3 and set(values[:, 1]) == {0.38}
 

@@ -282,3 +282,6 @@ def test_pictures_alone_give_the_modulus(motion, tmp_path):
     assert found["log10_youngs_modulus"].sigma > found["log10_youngs_modulus"].geometry_error
     friction = found["friction"]  # what is not stated of the floor is unknown, not zero
     assert friction.prior == (0.4, 0.3) and any("does not state the friction" in told for told in found.warnings)
+    height = found["floor_height"]  # known within the error of the body, which decides when it lands
+    assert height.prior is not None and height.prior[0] == 0.0 and 5e-4 < height.prior[1] < 0.01
+    assert abs(height.value) < 2 * height.prior[1]

@@ -136,8 +136,9 @@ def test_unknown_or_missing_parameters_are_named(mixed_body):
     for names in (["youngs"], ["density", "density"], []):
         with pytest.raises(InputError, match="parameters"):
             simulate_with_sensitivities(NamedParameters(scene, names))
-    with pytest.raises(InputError, match="friction"):
-        simulate_with_sensitivities(NamedParameters(scene, ["friction"]))
+    for name in ("friction", "floor_height"):
+        with pytest.raises(InputError, match=name):
+            simulate_with_sensitivities(NamedParameters(scene, [name]))
     with pytest.raises(InputError, match="values"):
         rollout_positions(torch.zeros(2), scene=scene, parameters=["density"], points=np.zeros((1, 3)))
 
