@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from inference.prediction import Prediction
-from inference.reconstruction import FIELD, Reconstruction
+from inference.reconstruction import FIELD
 from inference.refinement.appearance import RestField, appearance_of
 from inference.refinement.coarse_start import START_OPTIONS, coarse_start
 from inference.refinement.colour_search import fit_colours
@@ -30,7 +30,7 @@ from inference.refinement.meshes import comparison_mesh
 from inference.refinement.motion import future_rms, refined_motion
 from inference.refinement.observations import observe_capture, selected
 from inference.refinement.options import RefineOptions
-from inference.refinement.problem import Problem, material_of, moved_inside, started_from
+from inference.refinement.problem import Problem, material_of, moved_inside, started_from, values_of
 from inference.refinement.reduced_search import ReducedSearch, predicted, with_predicted_ratio
 from inference.refinement.result import FittedParameter, Refinement, StageEstimate, row_of
 from inference.refinement.rigid_drift import drift_of, drifted, followed_motion, with_drift
@@ -49,6 +49,7 @@ from physconvex.identify import (
     TwinOptions,
     base_twin,
     correct,
+    default_parameter,
     default_parameters,
     fit_full,
     frame_errors,
@@ -57,7 +58,7 @@ from physconvex.identify import (
     roll_out_together,
     with_free_friction,
 )
-from physconvex.io import Capture, Workers, load_capture
+from physconvex.io import Workers, load_capture
 from physconvex.numerics import device_named
 from physconvex.reduced import parameter_values
 
@@ -65,6 +66,7 @@ _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses
 _NOT_FOLLOWED = 5.0  # standard deviations rms of one source, above which intervals are meaningless
 _WHERE = ("processes", "device", "stop_after")  # settings of where and how far, which leave each stage the same
 _FRICTION = (0.4, 0.3)  # prior, mean and standard deviation, of a floor whose friction is not stated
+_HEIGHT = "floor_height"
 _LEFT = 0.5  # of the difference between few and more nodes: remaining error of more nodes
 
 
@@ -113,9 +115,7 @@ def refine(
     capture, made = rest_geometry_of(
         capture, body=options.body, out=folder, options=options.reconstruction, on_stage=on_stage
     )
-    if made is not None:
-        warnings += made.warnings
-        options = _with_free_height(options, capture, made)
+    warnings += [] if made is None else made.warnings
     settings = {name: value for name, value in options.to_json().items() if name not in _WHERE}
     if capture.body is not None:
         settings["body"] = capture.body.identifier_hash
@@ -124,15 +124,6 @@ def refine(
     stages = Stages(folder, key_of(capture.folder, settings), on_stage)
     with Workers(options.processes) as workers:
         return _refined(RefinementRun(capture, options, stages, workers, warnings, made))
-
-
-def _with_free_height(options: RefineOptions, capture: Capture, made: Reconstruction) -> RefineOptions:
-    """The floor's height free within the error of the reconstructed body, which decides when it lands."""
-    floor, name = capture.floor, "floor_height"
-    if floor is None or made.error is None or capture.boundary() is not None or _stated(name, options):
-        return options
-    height = float(np.dot(floor.point, floor.normal))
-    return options.replace(free=(*options.free, name), priors={name: (height, made.error.deviation), **options.priors})
 
 
 def _stated(name: str, options: RefineOptions) -> bool:
@@ -163,6 +154,7 @@ def _refined(run: RefinementRun) -> Refinement:
     ratio_sigma = None
     if run.reconstruction is not None:
         problem, ratio_sigma = with_predicted_ratio(run, problem)
+        problem = _with_free_height(run, problem)
         start, candidates = moved_inside(problem.parameters, reduced, candidates)
     coarse: FullModel | None = None
     if options.own_derivatives:
@@ -265,7 +257,7 @@ def _result(
         future_rms=future_rms(run.capture, motion),
         identifiability=known,
         history=found.history,
-        reduced_values=reduced.values,
+        reduced_values=values_of(found.parameters, reduced, reduced.values),
         full_runs=runs_of(full_runs or {}),
         converged=found.converged if converged is None else converged,
         motion=motion,
@@ -297,6 +289,19 @@ def _problem(run: RefinementRun) -> Problem:
         raise InputError(f"initial: {unknown} are not free; free are {[p.name for p in parameters]}")
     started = tuple(p.at(options.initial.get(p.name, p.start)) for p in parameters)
     return Problem(twin, started, observed, options.nuisance, _contact_surface(twin))
+
+
+def _with_free_height(run: RefinementRun, problem: Problem) -> Problem:
+    """The problem with the floor's height free within the error of the reconstructed body, which decides when it lands.
+
+    A model of few weights would take for it what the missing weights do.
+    """
+    made, twin = run.reconstruction, problem.twin
+    if made is None or made.error is None or not twin.may_strike or _stated(_HEIGHT, run.options):
+        return problem
+    height = float(parameter_values(twin.scene, [_HEIGHT])[0])
+    free = replace(default_parameter(_HEIGHT, start=height), prior_mean=height, prior_sigma=made.error.deviation)
+    return replace(problem, parameters=(*problem.parameters, free))
 
 
 def _contact_surface(twin: Twin) -> SurfacePoints | None:

@@ -133,12 +133,22 @@ def tried(parameter: Parameter, values: Sequence[float]) -> list[float]:
 def moved_inside(
     parameters: tuple[Parameter, ...], found: Fit, candidates: Sequence[np.ndarray]
 ) -> tuple[Fit, tuple[np.ndarray, ...]]:
-    """A fit and other values, moved inside the bounds of parameters."""
-    values, *others = (
-        np.array([p.at(float(v)).start for p, v in zip(parameters, row, strict=True)])
-        for row in (found.values, *candidates)
-    )
-    return replace(found, parameters=parameters, values=values), tuple(others)
+    """A fit and other values of its parameters, moved inside the bounds of others; new ones are at their start."""
+
+    def placed(row: np.ndarray) -> np.ndarray:
+        return np.array([p.at(v).start for p, v in zip(parameters, values_of(parameters, found, row), strict=True)])
+
+    columns = {name: found.jacobian[:, k] for k, name in enumerate(found.names)} if found.jacobian.size else {}
+    none = np.zeros(len(found.residuals))
+    jacobian = np.array([columns.get(p.name, none) for p in parameters]).T
+    moved = replace(found, parameters=parameters, values=placed(found.values), jacobian=jacobian)
+    return moved, tuple(map(placed, candidates))
+
+
+def values_of(parameters: Sequence[Parameter], found: Fit, values: np.ndarray) -> np.ndarray:
+    """Values of a fit's parameters in the order of others, of which new ones are at their start."""
+    known = dict(zip(found.names, values.tolist(), strict=True))
+    return np.array([known.get(p.name, p.start) for p in parameters])
 
 
 def material_of(twin: Twin, found: Fit) -> tuple[float, float]:
