@@ -25,7 +25,7 @@ ParameterName = Literal[
     "air_drag",  # [1/s]
     "contact_damping",  # time of the contact's dashpot [s], which reduces the rebound
     "friction",  # mean coefficient of the obstacles that have one [-]; shifted as a whole
-    "floor_height",  # mean distance of the planes from the origin, along their normals, at t = 0 [m]; shifted as a whole
+    "floor_height",  # mean distance of the planes from the origin along their normals, at t = 0 [m]; shifted alike
     "wind_x",
     "wind_y",
     "wind_z",  # velocity of the air [m/s]
