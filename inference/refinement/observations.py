@@ -100,7 +100,8 @@ def observe_capture(run: RefinementRun, twin: Twin) -> tuple[Observed, Twin]:
         views = [(camera, _observed_mask(capture, camera)) for camera in cameras]
         notes = tuple(note for camera, mask in views if mask is not None for note in check_masks(capture, camera, mask))
         seen = _video_parts(run, twin, views)
-        notes += tuple(_UNFOLLOWED.format(camera.name) for camera in cameras if _is_unfollowed(camera, capture, seen))
+        unfollowed = [c for c in cameras if run.options.points and _is_unfollowed(c, capture, seen)]
+        notes += tuple(_UNFOLLOWED.format(camera.name) for camera in unfollowed)
         parts.extend(seen)
         sources.extend(_line(part) for part in seen)
     return Observed(StackedObservations.of(parts), tuple(sources), cameras, notes), twin
@@ -176,8 +177,13 @@ def _followed(
     out = {}
     for camera, mask in views:
         outlined = run.options.outlines and mask is not None
-        if outlined and camera not in run.capture.filmed:
+        if outlined and (camera not in run.capture.filmed or not run.options.points):
             continue
+        if not run.options.points:
+            raise InputError(
+                f"points: are off, and camera {camera.name!r} has no outlines to be fitted instead; expected "
+                f"{camera.name}_mask.mp4 and outlines on, or points"
+            )
         frames = run.capture.video(camera.name).frames[: run.capture.observed_frames]
         try:
             seeds = seed_points(camera, frames[0], *surface, mask=None if mask is None else mask[0])

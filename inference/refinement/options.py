@@ -49,10 +49,12 @@ class RefineOptions(Options):
     """Data to fit; auto takes marker tracks if the capture has them, else videos."""
     cameras: Annotated[tuple[str, ...] | None, CommandLine("--camera", panel=_SEEN.panel)] = None
     """Use only this camera; repeatable. Default: all."""
+    points: Annotated[bool, _SEEN] = True
+    """Follow points in the videos; without them outlines are needed."""
     outlines: Annotated[bool, _SEEN] = True
     """Fit the outlines of the masks as well."""
     colours: Annotated[bool, _SEEN] = True
-    """Compare colours of pixels in the last fit, instead of points tracked in videos."""
+    """Compare colours of pixels in the convex twin's fit, and in the last one instead of followed points."""
     exposure: Annotated[bool, _SEEN] = True
     """Fit gain and offset of the colours of each frame."""
     body: Annotated[Path | None, _SEEN] = None
@@ -132,6 +134,8 @@ class RefineOptions(Options):
 
     @model_validator(mode="after")
     def _fitted_weights(self) -> Self:
+        if self.fit_weights and not self.colours:
+            raise InputError(f"fit_weights: got {self.fit_weights} without colours, to which weights are fitted")
         if self.fit_weights and self.basis != "neural":
             raise InputError(
                 f"fit_weights: got {self.fit_weights} with basis {self.basis!r}; expected basis 'neural', that of a "

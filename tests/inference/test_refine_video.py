@@ -193,6 +193,24 @@ def test_markers_and_videos_are_fitted_together(motion, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("left_out", ["points", "outlines", "colours"])
+def test_the_convex_twin_does_without_one_kind_of_observations(folder, left_out):
+    start = {"log10_youngs_modulus": 4.5, "poisson_ratio": 0.3}
+    options = RefineOptions(initial=start, **FEW | {"field_budget": 600, "field_steps": 40}, convex=True)
+    options = options.replace(stop_after="convex", **{left_out: False})
+    found = refine(folder, options=options)
+    assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.12)
+    kinds = {"points": " points, ", "outlines": " outline points", "colours": " pixels"}
+    assert len(found.sources) == 2
+    assert not any(kinds[left_out] in source for source in found.sources)
+
+
+def test_without_points_outlines_are_needed(folder):
+    with pytest.raises(InputError, match="points: are off, and camera 'front' has no outlines"):
+        refine(folder, options=RefineOptions(points=False, outlines=False, start="scan", **FEW))
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("shown", ["plain", "masks"])
 def test_outlines_alone_will_do(motion, shown, tmp_path):
     """A body without texture, or without any image, could not be refined at all."""
