@@ -6,7 +6,8 @@ FOLDER is that of `benchmarks/reconstruction.py --work`: captures of scanned obj
 12 pictures. Each body falls on a floor (E of 40 times the pressure of its weight, ν = 0.35, friction 0.4) and is rolled
 out on a mesh of few nodes: as reconstructed, with its surface displaced to the scan's, and displaced by one standard
 deviation of each part of its error (`physconvex.reconstruction.surface_error`). *Shift*: where log10 E and ν go that
-are fitted, to first order, to the motion of 60 points of the scan's body, with a prior of 0.33 decades and 0.17.
+are fitted, to first order, to the motion of 60 points of the scan's body, with a prior of 0.33 decades and 0.17,
+beside the damping and, as in `refine`, the floor's height within the error of the body. *Held*: with that height held.
 *Sigma*: the geometry error that `refine` states, by the same points. *Common*, *local*, *unseen*: of the surface's
 distance from the scan, the offset that has the volume's error, the rms about it where two pictures show it, and the rms
 elsewhere, each over the stated deviation.
@@ -29,6 +30,7 @@ from inference import capture_views
 from inference.refinement.geometry_error import displaced, parameter_errors
 from physconvex.fem import SurfacePoints
 from physconvex.identify import (
+    Fit,
     FitOptions,
     FullModel,
     LinearModel,
@@ -44,7 +46,7 @@ from physconvex.mesh import enclosed_volume, surface_distance, with_merged_verti
 from physconvex.reconstruction import SurfaceError, surface_error
 
 RESULTS = Path(__file__).parent / "results" / "body_error.json"
-NAMES = ("log10_youngs_modulus", "poisson_ratio", "damping_time")
+NAMES = ("log10_youngs_modulus", "poisson_ratio", "damping_time", "floor_height")
 FRAMES, FPS, STEPS, POINTS, NOISE = 14, 48.0, 12, 60, 3e-3  # noise: of the size
 PRIORS = {"log10_youngs_modulus": 0.33, "poisson_ratio": 0.17, "damping_time": 3e-3}
 
@@ -95,23 +97,30 @@ def motion_row(body: trimesh.Trimesh, error: SurfaceError, beyond: np.ndarray) -
     capture = Capture(Path(), FPS, FRAMES, FRAMES, floor=floor, body=body, initial_velocity=np.zeros(3),
                       initial_angular_velocity=np.zeros(3))  # fmt: skip
     twin = base_twin(capture, TwinOptions(weights=4, max_nodes=500, steps_per_frame=STEPS, fill=True))
-    true = np.array([np.log10(40 * capture.density * 9.81 * size), 0.35, 1e-3])
+    true = np.array([np.log10(40 * capture.density * 9.81 * size), 0.35, 1e-3, low - height])
     twin = twin.with_values(NAMES, true)
     points, _ = trimesh.sample.sample_surface(body, POINTS, seed=0)
     surface = SurfacePoints.of_triangles(*twin.surface)
     model = FullModel(twin, NAMES, points, FRAMES, surface=surface)
     here, tangents = model.linearise(true)
     seen = MarkerObservations(points, here, np.full(here.shape[:2], NOISE * size))
+    priors = PRIORS | {"floor_height": error.deviation}
     parameters = [
-        replace(default_parameter(name), prior_mean=value, prior_sigma=PRIORS[name]).at(value)
+        replace(default_parameter(name), prior_mean=value, prior_sigma=priors[name]).at(value)
         for name, value in zip(NAMES, true.tolist(), strict=True)
     ]
-    found = fit(LinearModel(NAMES, true, here, tangents), seen, parameters, options=FitOptions(max_iterations=1))
+
+    def fitted(count: int) -> Fit:
+        linear = LinearModel(NAMES[:count], true[:count], here, tangents[:, :count])
+        return fit(linear, seen, parameters[:count], options=FitOptions(max_iterations=1))
+
+    found = fitted(len(NAMES))
     base, there = (displaced(model, body, by).positions(true) for by in (np.zeros_like(beyond), -beyond))
     change = seen.residuals(base) - seen.residuals(there)  # the scan's motion is observed, the body's fitted
     parts = parameter_errors(model, found, seen, body, error)
     return {
         "shift": named(parameter_shift(found, change)),
+        "held": named(parameter_shift(fitted(len(NAMES) - 1), change)),
         "sigma": named(np.sqrt(np.square(parts).sum(axis=0))),
         "parts": [named(part) for part in parts],
         "away": [round(float(v), 5) for v in np.sqrt(np.square(base - there).sum(-1).mean(1)) / size],
@@ -121,7 +130,7 @@ def motion_row(body: trimesh.Trimesh, error: SurfaceError, beyond: np.ndarray) -
 
 def named(values: np.ndarray) -> dict[str, float]:
     """By parameter."""
-    return dict(zip(NAMES, values.round(4).tolist(), strict=True))
+    return dict(zip(NAMES, values.round(4).tolist(), strict=False))
 
 
 def means(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -129,8 +138,9 @@ def means(rows: list[dict[str, Any]]) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name in NAMES[:2]:
         shift, sigma = (np.array([row[what][name] for row in rows]) for what in ("shift", "sigma"))
-        held = float((np.abs(shift) <= 1.645 * sigma).mean())
-        out[name] = {"shift": root(shift), "sigma": root(sigma), "ratio": root(shift / sigma), "within_90": held}
+        within = float((np.abs(shift) <= 1.645 * sigma).mean())
+        out[name] = {"shift": root(shift), "sigma": root(sigma), "ratio": root(shift / sigma), "within_90": within}
+        out[name]["held"] = root(np.array([row["held"][name] for row in rows]))
     return out | {name: root(np.array([row[name] for row in rows])) for name in ("volume", "common", "local", "unseen")}
 
 
