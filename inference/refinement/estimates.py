@@ -32,6 +32,7 @@ from physconvex.mesh import TetMesh
 # standard deviation by the choice of a mesh made of a surface, of bodies that hit something: error of E [decades]
 # and ν in a first-order fit to motions of other meshes (benchmarks/twin_meshes.py)
 _BY_MESH = {"log10_youngs_modulus": 0.012, "poisson_ratio": 0.03}
+_RATIO = "poisson_ratio"
 # of twenty elastic weights: rms error of E on reconstructed bodies whose video the twin follows [decades]
 # (docs/results/paper_images.md); largest bias of ν against the full model (benchmarks/reduced_accuracy.py)
 _BY_REDUCTION = {"log10_youngs_modulus": 0.16, "poisson_ratio": 0.19}
@@ -176,19 +177,46 @@ def with_reduction_error(run: RefinementRun, pixels: ConvexFit) -> FitWithError:
     """The convex twin's fit, with the error that its few weights leave on average, or by the network's of its ν."""
     left = np.array([_BY_REDUCTION.get(p.name, np.nan) for p in pixels.found.parameters])
     told = FitWithError(pixels.found, left, np.zeros(run.capture.observed_frames))
-    return told if pixels.ratio_sigma is None else with_ratio_error(told, pixels.ratio_sigma)
+    if pixels.ratio_sigma is None:
+        return told
+    return with_ratio_error(told, pixels.ratio_sigma, told.fit.jacobian[:, told.fit.names.index(_RATIO)])
 
 
-def with_ratio_error(told: FitWithError, sigma: float) -> FitWithError:
-    """A fit in which ν is held, with the error of every value by that of ν, and that of ν itself [1]."""
-    found, place = told.fit, told.fit.names.index("poisson_ratio")
+def slope_by_ratio(run: RefinementRun, full: FullModel, found: Fit, seen: Observations) -> Float[np.ndarray, " N"]:
+    """Derivatives of the residuals by ν, which the fit has held: a difference of two roll-outs if it left them out."""
+    place = found.names.index(_RATIO)
+    if not (run.options.own_derivatives and full.held and full.differenced):
+        return found.jacobian[:, place]
+
+    def compute() -> Arrays:
+        own = replace(full, points=seen.points, held=())
+        moved = own.beside(found.values)[place]
+        here, there = (seen.residuals(own.positions(values)) for values in (found.values, moved))
+        return {"slope": (there - here) / (moved - found.values)[place]}
+
+    try:
+        return run.stages.run("ratio", compute)["slope"]
+    except ConvergenceError as error:
+        run.warnings.append(f"What the error of Poisson's ratio does to the other values is unknown ({error}).")
+        return np.zeros(len(found.residuals))
+
+
+def with_ratio_error(told: FitWithError, sigma: float, slope: Float[np.ndarray, " N"]) -> FitWithError:
+    """A fit in which ν is held, with the error of every value by that of ν.
+
+    Args:
+        told: the fit.
+        sigma: standard deviation of ν [1].
+        slope: derivatives of the residuals by ν.
+    """
+    found, place = told.fit, told.fit.names.index(_RATIO)
     rows = np.vstack(
         [np.sqrt(found.weights)[:, None] * found.jacobian, np.diag([1 / p.prior_sigma for p in found.parameters])]
     )
     others = [k for k in range(len(found.values)) if k != place]
-    rows[len(found.residuals) + place] = 0.0  # the prior that holds it
     by_ratio = np.full(len(found.values), sigma)
-    by_ratio[others] *= np.abs(np.linalg.lstsq(rows[:, others], rows[:, place], rcond=None)[0])
+    changes = np.concatenate([np.sqrt(found.weights) * slope, np.zeros(len(found.values))])
+    by_ratio[others] *= np.abs(np.linalg.lstsq(rows[:, others], changes, rcond=None)[0])
     left = np.where(np.isnan(told.left), by_ratio, np.hypot(told.left, by_ratio))
     left[place] = sigma
     return replace(told, left=left)

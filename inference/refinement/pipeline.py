@@ -19,6 +19,7 @@ from inference.refinement.convex_stage import CONVEX, convex_fit
 from inference.refinement.estimates import (
     FitWithError,
     fitted_parameters,
+    slope_by_ratio,
     with_model_error,
     with_ratio_error,
     with_reduction_error,
@@ -186,7 +187,7 @@ def _refined(run: RefinementRun) -> Refinement:
     full = problem.full(run.memory)
     told = with_model_error(run, full, found, problem.seen, on_twin=None if problem.mesh is None else on_twin)
     if ratio_sigma is not None:
-        told = with_ratio_error(told, ratio_sigma)
+        told = with_ratio_error(told, ratio_sigma, slope_by_ratio(run, full, told.fit, problem.seen))
     return _result(run, problem, told, reduced, rest, rows, full=full, full_runs=full_runs, converged=converged)
 
 

@@ -89,9 +89,11 @@ class Problem:
 
     def full(self, memory: RollOuts) -> FullModel:
         """The full model of the observed points."""
+        held = tuple(p.name for p in self.parameters if is_held(p))
         return FullModel(
-            self.twin, self.names, self.seen.points, self.frames, mesh=self.mesh, surface=self.surface, memory=memory
-        )
+            self.twin, self.names, self.seen.points, self.frames,
+            mesh=self.mesh, surface=self.surface, memory=memory, held=held,
+        )  # fmt: skip
 
     @property
     def frames(self) -> int:

@@ -34,6 +34,7 @@ _IN_WORDS = {  # of NAME, and of NAME_… unless that has its own
     "convex_motion": "predicting all frames",
     "convex_basis": "finding the weights of the convex twin",
     "convex_start": "comparing starts of the convex twin",
+    "ratio": "finding what the error of Poisson's ratio does",
     "scan": "scanning Young's modulus",
     "reduced": "fitting the reduced model",
     "coarse": "fitting the full model on few nodes",

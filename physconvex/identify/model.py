@@ -76,6 +76,7 @@ class FullModel:
         refinement: factor on the number of time steps.
         surface: points at which obstacles act, instead of the boundary's nodes.
         memory: of the last roll-outs; several models may share it.
+        held: parameters that keep their values; derivatives by differences are zero by them.
     """
 
     twin: Twin
@@ -86,6 +87,7 @@ class FullModel:
     refinement: int = 1
     surface: SurfacePoints | None = None
     memory: RollOuts = field(default_factory=RollOuts)
+    held: tuple[str, ...] = ()
 
     @property
     def rolled_mesh(self) -> TetMesh:
@@ -147,10 +149,11 @@ class FullModel:
         a hundredth of a typical step (a tenth with contact damping), over which condensed contact is linear. P + 1 such
         roll-outs cost about as much as one with derivatives, which needs iterated friction.
         """
-        known = self.memory.tangents(self.key(values))
+        key = (self.key(values), self.held)
+        known = self.memory.tangents(key)
         if known is None:
             known = self._differences(values) if self.differenced else self._sensitivities(values)
-            self.memory.keep_tangents(self.key(values), known)
+            self.memory.keep_tangents(key, known)
         return self.positions(values), self._embedding.apply(known)
 
     def _usual(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -170,15 +173,17 @@ class FullModel:
     def beside(self, values: Values) -> list[Values]:
         """Values of the roll-outs for the differences: upwards unless a bound prevents it."""
         steps, _, upper = self._usual()
-        changes = np.diag(_WHOLE_DIFFERENCE[self._solver] * steps)
+        free = [name not in self.held for name in self.names]
+        changes = np.diag(_WHOLE_DIFFERENCE[self._solver] * steps)[free]
         return [values + c if (values + c <= upper).all() else values - c for c in changes]
 
     def _differences(self, values: np.ndarray) -> np.ndarray:
         moved = self.beside(values)
+        free = [place for place, name in enumerate(self.names) if name not in self.held]
         roll_out_together([(self, values)], beside=[(self, values)])
         base, lower = self.node_positions(values), self._usual()[1]
-        tangents = []
-        for place, trial in enumerate(moved):
+        tangents = np.zeros((len(base), len(values), *base.shape[1:]))
+        for place, trial in zip(free, moved, strict=True):
             try:
                 there = self.node_positions(trial)
             except ConvergenceError:
@@ -186,8 +191,8 @@ class FullModel:
                 if trial[place] < lower[place]:
                     raise
                 there = self.node_positions(trial)
-            tangents.append((there - base) / (trial - values)[place])
-        return np.stack(tangents, axis=1)
+            tangents[:, place] = (there - base) / (trial - values)[place]
+        return tangents
 
 
 _Wanted = tuple[FullModel, Values]

@@ -63,3 +63,13 @@ def test_at_a_bound_the_other_side_is_taken(tmp_path):
     lower = at_the_top - [0, 0.1 * STEPS[1], 0]
     expected = (full.positions(at_the_top) - full.positions(lower)) / (0.1 * STEPS[1])
     np.testing.assert_allclose(tangents[:, 1], expected, atol=1e-6)
+
+
+def test_values_that_are_held_cost_no_roll_out(tmp_path):
+    full = model(tmp_path, 0.6)
+    _, tangents = full.linearise(VALUES)
+    held = replace(full, held=("poisson_ratio",))
+    assert len(held.beside(VALUES)) == 2
+    _, others = held.linearise(VALUES)
+    np.testing.assert_array_equal(others[:, [0, 2]], tangents[:, [0, 2]])
+    assert not others[:, 1].any() and tangents[:, 1].any()
