@@ -60,7 +60,7 @@ def deviation_from_affine(
 def _deviation(field: ConvexField, deform: DeformationMap) -> tuple[Float[Tensor, "T N"], Float[Tensor, "T N"]]:
     first, second = zip(*combinations(range(field.points.shape[1]), 2), strict=True)
     rest = torch.cat([field.points, 0.5 * (field.points[:, first] + field.points[:, second])], dim=1)
-    moved = _moved(rest.reshape(-1, 3), deform).reshape(-1, *rest.shape)
+    moved = deform(rest.reshape(-1, 3))[0].reshape(-1, *rest.shape)
     ones = torch.ones_like(rest[..., :1])
     scale = torch.linalg.vector_norm(rest - rest.mean(dim=1, keepdim=True), dim=2).mean(dim=1)[:, None, None]
     table = torch.cat([(rest - rest.mean(dim=1, keepdim=True)) / scale, ones], dim=2)
@@ -68,13 +68,6 @@ def _deviation(field: ConvexField, deform: DeformationMap) -> tuple[Float[Tensor
     corners = moved[:, :, : field.points.shape[1]]
     size = torch.cdist(corners, corners).flatten(2).amax(dim=2)
     return torch.linalg.vector_norm(moved - fitted, dim=3).amax(dim=2), size
-
-
-def _moved(points: Float[Tensor, "P 3"], deform: DeformationMap) -> Float[Tensor, "*T P 3"]:
-    """Moved points, each place once: convexes of few corners repeat them, and neighbours share them."""
-    _, place = torch.unique(points.detach(), dim=0, return_inverse=True)
-    one = place.new_zeros(int(place.max()) + 1).scatter_(0, place, torch.arange(len(points), device=place.device))
-    return deform(points[one])[0][..., place, :]
 
 
 def split(

@@ -145,6 +145,7 @@ def locate(mesh: TetMesh, points: np.ndarray) -> Places:
         Its element [P], its barycentric coordinates there [P, 4], those of the nearest point of the mesh [P, 4], and
         the distance between the two [m], shape [P].
     """
+    points, rows = np.unique(points, axis=0, return_inverse=True)  # hulls repeat and share corners
     corners = mesh.vertices[mesh.corner_tets]
     inverse = _inverse_edges(corners)
     elements, depth = _deepest(corners, inverse, points)
@@ -157,7 +158,8 @@ def locate(mesh: TetMesh, points: np.ndarray) -> Places:
     barycentric = _barycentric(corners, inverse, elements, points)
     anchors = barycentric.copy()
     anchors[outside] = _barycentric(corners, inverse, elements[outside], nearest[outside])
-    return elements, barycentric, anchors, distance
+    rows = rows.reshape(-1)
+    return elements[rows], barycentric[rows], anchors[rows], distance[rows]
 
 
 def contains(mesh: TetMesh, points: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, " P"]:
