@@ -9,7 +9,7 @@ import typer
 from typer.testing import CliRunner
 
 from inference import RefineOptions
-from inference.refinement import coarse_start
+from inference.refinement import coarse_start, pipeline
 from inference.refinement.command import refine_command
 from inference.refinement.problem import Problem, moved_inside
 from inference.refinement.reduced_search import predicted, scan_range, with_predicted_ratio
@@ -160,3 +160,21 @@ def test_no_processes_are_refused_by_the_command_too(tmp_path):
     app.command()(refine_command)
     found = CliRunner().invoke(app, ["examples/captures/school_bus", "--processes", "0", "--out", str(tmp_path)])
     assert isinstance(found.exception, InputError) and "processes: got 0" in str(found.exception)
+
+
+@pytest.mark.wrong_types
+def test_the_floor_s_height_is_free_for_a_body_from_pictures_unless_the_user_holds_it(monkeypatch):
+    monkeypatch.setattr(pipeline, "parameter_values", lambda scene, names: np.array([0.2]))
+    problem = Problem(SimpleNamespace(may_strike=True, scene=None), free_parameters(), None)
+    made = SimpleNamespace(error=SimpleNamespace(deviation=0.007))
+
+    def of(reconstruction, options):
+        run = SimpleNamespace(reconstruction=reconstruction, options=options)
+        return pipeline._with_free_height(run, problem)
+
+    free = of(made, RefineOptions()).parameters[-1]
+    assert (free.name, free.start, free.prior_mean, free.prior_sigma) == ("floor_height", 0.2, 0.2, 0.007)
+    assert of(made, RefineOptions(fixed={"floor_height": None})) is problem
+    assert of(None, RefineOptions()) is problem  # a given body
+    start, (other,) = moved_inside((*problem.parameters, free), fit_at(5.0, 0.3), [np.array([6.0, 0.4])])
+    assert start.values == pytest.approx([5.0, 0.3, 0.2]) and other == pytest.approx([6.0, 0.4, 0.2])
