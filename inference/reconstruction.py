@@ -29,6 +29,7 @@ from physconvex.numerics import device_named
 from physconvex.reconstruction import (
     FitProgress,
     FitState,
+    Hollow,
     Observation,
     ReconstructionConfig,
     SurfaceError,
@@ -37,6 +38,7 @@ from physconvex.reconstruction import (
     body_surface,
     closed_surface,
     fill_gaps,
+    find_hollow,
     fit_field,
     load_fit,
     missing_sides,
@@ -224,11 +226,13 @@ def reconstruct(
     state = _fit_and_store(state.to(place), views, config, folder=folder, claim=claim, on_step=on_step)
     field = state.field().to("cpu")
     clock = time.perf_counter()
-    body = _body(field, views)
+    body, hollow = _body(field, views)
     body_seconds = time.perf_counter() - clock
     field = _filled(field, state, body or body_surface(kind, views.training, mesh), config)
     error = None if body is None else surface_error(body, views.training)
-    warnings = (*warnings_on_views(views.training), *_on_unseen(body, error, views), *_on_contested(error))
+    warnings = (
+        *warnings_on_views(views.training), *_on_unseen(body, error, views), *_on_contested(error), *_on_hollow(hollow)
+    )  # fmt: skip
     for warning in warnings:
         _LOG.warning("reconstruct: %s", warning)
     trained, tested = (score_views(field.to(place), part) for part in (views.training, views.held_out))
@@ -256,13 +260,15 @@ def _filled(
     return field
 
 
-def _body(field: ConvexField, views: CaptureViews) -> trimesh.Trimesh | None:
-    """The closed surface, or None, with a warning, where the silhouettes contradict each other."""
+def _body(field: ConvexField, views: CaptureViews) -> tuple[trimesh.Trimesh | None, Hollow | None]:
+    """The closed surface and its hollow; none, with a warning, where the silhouettes contradict each other."""
     try:
-        return closed_surface(field, views.training)
+        filled = closed_surface(field, views.training)
     except InputError as error:
         _LOG.warning("reconstruct: no surface of the body: %s", error)
-        return None
+        return None, None
+    hollow = find_hollow(filled, views.training)
+    return (filled if hollow is None else hollow.surface), hollow
 
 
 def _on_unseen(body: trimesh.Trimesh | None, error: SurfaceError | None, views: CaptureViews) -> list[str]:
@@ -286,6 +292,16 @@ def _on_contested(error: SurfaceError | None) -> list[str]:
         f"{100 * error.contested_share:.0f} % of the surface has other colours in every picture: it shines, or the "
         "body has a hollow there, which no silhouette shows and the reconstruction fills. Take pictures that look "
         "into it, or give the surface (--body)."
+    ]
+
+
+def _on_hollow(hollow: Hollow | None) -> list[str]:
+    """A warning of a hollow, whose wall is known in part alone."""
+    if hollow is None:
+        return []
+    return [
+        f"Pictures look into a hollow of {100 * hollow.share:.0f} % of what the silhouettes enclose. Its wall is "
+        f"{1000 * hollow.thickness:.2g} mm thick where they show it, and taken to be so everywhere."
     ]
 
 
@@ -324,7 +340,7 @@ def _read_points(path: Path) -> np.ndarray:
 
 def _claim(views: CaptureViews, config: ReconstructionConfig, points: np.ndarray | None) -> str:
     """Checksum of everything that the result depends on."""
-    digest = hashlib.sha256(b"field, surface and warnings" + config.model_dump_json().encode())
+    digest = hashlib.sha256(b"field, surface, hollow and warnings" + config.model_dump_json().encode())
     for part in (views.training, views.held_out):
         digest.update(b"part")
         for seen in part:

@@ -20,6 +20,7 @@ from .field_refinement import (
     simplify as simplify,
 )
 from .gap_filling import fill_gaps as fill_gaps
+from .hollow import Hollow as Hollow, find_hollow as find_hollow
 from .hull_surface import level_surface as level_surface, visual_hull as visual_hull
 from .observation import Observation as Observation, observation_of as observation_of
 from .row_adam import RowAdam as RowAdam

@@ -107,12 +107,22 @@ def colour_spread(
         observations: the views.
         cosines: of `cosines_shown`.
     """
-    places = np.asarray(surface.vertices)
-    weights = np.square(cosines) / np.maximum(np.square(cosines).sum(axis=1, keepdims=True), 1e-12)
+    apart = colours_apart(np.asarray(surface.vertices), observations, cosines)
+    spread = np.sqrt(np.einsum("vc,vc->v", _shares(cosines), apart**2))
+    return _evened(spread, _neighbour_means(surface.edges_unique, len(spread)), EVENED)
+
+
+def colours_apart(
+    places: Float[np.ndarray, "V 3"], observations: Sequence[Observation], cosines: Float[np.ndarray, "V C"]
+) -> Float[np.ndarray, "V C"]:
+    """Distance of the colour in which each view shows a place from the mean over the views by the squared cosine."""
     colours = np.stack([_sampled(seen, places).numpy() for seen in observations], axis=1)  # [V, C, 3]
-    apart = colours - np.einsum("vc,vci->vi", weights, colours)[:, None]
-    spread = np.sqrt(np.einsum("vc,vci->v", weights, apart**2))
-    return _evened(spread, _neighbour_means(surface.edges_unique, len(places)), EVENED)
+    return np.linalg.norm(colours - np.einsum("vc,vci->vi", _shares(cosines), colours)[:, None], axis=2)
+
+
+def _shares(cosines: Float[np.ndarray, "V C"]) -> Float[np.ndarray, "V C"]:
+    """Weights of the views by the squared cosine; their sum is 1, or 0 where none shows the place."""
+    return np.square(cosines) / np.maximum(np.square(cosines).sum(axis=1, keepdims=True), 1e-12)
 
 
 def nearest_pixels(camera: Camera, positions: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:

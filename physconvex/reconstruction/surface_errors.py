@@ -80,15 +80,14 @@ class SurfaceError:
 def surface_error(surface: trimesh.Trimesh, observations: Sequence[Observation]) -> SurfaceError:
     """The error of a closed surface found by `closed_surface` from these observations."""
     cell, vertices = cell_of(observations), np.asarray(surface.vertices, dtype=np.float64)
-    areas = np.zeros(len(vertices))
-    np.add.at(areas, surface.faces, surface.area_faces[:, None] / 3)
+    areas = vertex_areas(surface)
     cosines = cosines_shown(surface, observations, cell=cell)
     views = (cosines > 0).sum(axis=1)
     known = views >= AGREE
     far = cKDTree(vertices[known]).query(vertices)[0] if known.any() else np.full(len(vertices), np.inf)
     far = np.minimum(far, float(surface.extents.max()))
     unseen = np.where(known, 0.0, np.hypot(UNSEEN * cell, AWAY * far))
-    contested = colour_spread(surface, observations, cosines) > CONTESTED
+    contested = contested_places(surface, observations, cosines)
     share = float(areas[contested].sum() / areas.sum())
     if share > MUCH:
         unseen[contested] = np.maximum(unseen[contested], HOLLOW * _thickness(surface, contested))
@@ -102,6 +101,20 @@ def surface_error(surface: trimesh.Trimesh, observations: Sequence[Observation])
         LENGTH * float(surface.extents.max()),
         share if share > MUCH else 0.0,
     )
+
+
+def vertex_areas(surface: trimesh.Trimesh) -> Float[np.ndarray, " V"]:
+    """Area of the surface that each vertex represents [m²]."""
+    areas = np.zeros(len(surface.vertices))
+    np.add.at(areas, surface.faces, surface.area_faces[:, None] / 3)
+    return areas
+
+
+def contested_places(
+    surface: trimesh.Trimesh, observations: Sequence[Observation], cosines: Float[np.ndarray, "V C"]
+) -> Bool[np.ndarray, " V"]:
+    """Vertices whose colours differ from picture to picture: they shine, or pictures look into a hollow there."""
+    return colour_spread(surface, observations, cosines) > CONTESTED
 
 
 def _thickness(surface: trimesh.Trimesh, chosen: Bool[np.ndarray, " V"]) -> Float[np.ndarray, " C"]:
