@@ -60,7 +60,7 @@ _Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])  #
 _STORE_EVERY = 20.0  # seconds
 _DIFFERENCE_GAIN = 4.0
 _FILM_FRAMES, _FILM_RATE = 48, 24.0
-_MUCH = 0.2  # of the surface, closed by a membrane, of which the user is told; 12 pictures from around leave a tenth
+_MUCH = 0.2  # of the surface, whose place is not told, of which the user is told; 12 pictures from around leave a tenth
 
 
 class ScoreTable(TypedDict):
@@ -272,15 +272,15 @@ def _body(field: ConvexField, views: CaptureViews) -> tuple[trimesh.Trimesh | No
 
 
 def _on_unseen(body: trimesh.Trimesh | None, error: SurfaceError | None, views: CaptureViews) -> list[str]:
-    """A warning where much of the body is closed by a membrane, with the sides that no camera sees."""
+    """A warning where few pictures show much of the body, with the sides that no camera sees."""
     if body is None or error is None or error.unseen_share < _MUCH:
         return []
     centre = body.bounds.mean(axis=0)
     missing = missing_sides(np.array([seen.camera.position - centre for seen in views.training]))
-    why = f": {missing}" if missing else " by parts of the body in front of it"
+    why = missing or "parts of the body are in front of it"
     return [
-        f"{100 * error.unseen_share:.0f} % of the surface is shown by fewer than two pictures and closed by a "
-        f"membrane{why}."
+        f"{100 * error.unseen_share:.0f} % of the surface is shown by fewer than two pictures, which do not tell its "
+        f"place: {why}."
     ]
 
 

@@ -59,7 +59,7 @@ from physconvex.identify import (
     roll_out_together,
     with_free_friction,
 )
-from physconvex.io import Workers, load_capture
+from physconvex.io import Capture, Workers, load_capture
 from physconvex.numerics import device_named
 from physconvex.reduced import parameter_values
 
@@ -68,6 +68,7 @@ _NOT_FOLLOWED = 5.0  # standard deviations rms of one source, above which interv
 _WHERE = ("processes", "device", "stop_after")  # settings of where and how far, which leave each stage the same
 _FRICTION = (0.4, 0.3)  # prior, mean and standard deviation, of a floor whose friction is not stated
 _HEIGHT = "floor_height"
+_OF_A_FLOOR = (_HEIGHT, "friction", "contact_damping")
 _LEFT = 0.5  # of the difference between few and more nodes: remaining error of more nodes
 
 
@@ -106,6 +107,7 @@ def refine(
         options = options.replace(initial={**start, **options.initial})
     capture, folder = load_capture(Path(path)), None if out is None else Path(out)
     selected(capture, options)  # what is missing is told before the work begins
+    _check_floor(capture, options)
     warnings: list[str] = []
     if capture.floor is not None and capture.floor.friction is None and not _stated("friction", options):
         options = options.replace(free=(*options.free, "friction"), priors={"friction": _FRICTION, **options.priors})
@@ -125,6 +127,16 @@ def refine(
     stages = Stages(folder, key_of(capture.folder, settings), on_stage)
     with Workers(options.processes) as workers:
         return _refined(RefinementRun(capture, options, stages, workers, warnings, made))
+
+
+def _check_floor(capture: Capture, options: RefineOptions) -> None:
+    """Raise `InputError` where values of a floor are free or held, and there is none."""
+    for where, names in (("free", options.free), ("fixed", options.fixed)):
+        for name in _OF_A_FLOOR if capture.floor is None else ():
+            if name in names:
+                raise InputError(
+                    f"{where}: got {name!r}, but the capture has no floor; give it one in capture.json, or leave it out"
+                )
 
 
 def _stated(name: str, options: RefineOptions) -> bool:

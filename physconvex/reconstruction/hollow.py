@@ -108,6 +108,7 @@ class _Cut:
         outward = vertex_areas(surface)[lid] @ normals[lid]
         outward /= max(float(np.linalg.norm(outward)), 1e-12)
         mouth = _part_around(surface, lid | (normals @ outward > LEVEL), lid)
+        mouth = ~_largest_part(surface, ~mouth)  # with the bumps of the lid
         centre, half = object_box(observations)
         lattice, cell = cube_lattice(centre, half, round(2 * half / cell))
         low, high = surface.bounds
@@ -131,7 +132,8 @@ class _Cut:
         beyond = np.where(reached | (parts == 0), thickness - self.away, self.cell)
         tool = level_surface(np.clip(beyond, -self.cell, self.cell), origin=self.origin, cell=self.cell)
         tool = trimesh.smoothing.filter_taubin(tool, iterations=EVENED)
-        return trimesh.boolean.difference([self.surface, tool], engine="manifold")
+        parts = trimesh.boolean.difference([self.surface, tool], engine="manifold").split()
+        return max(parts, key=lambda part: part.volume)
 
 
 def _largest_part(surface: trimesh.Trimesh, chosen: Bool[np.ndarray, " V"]) -> Bool[np.ndarray, " V"]:

@@ -185,6 +185,18 @@ def test_a_wrong_option_is_named(folder, tmp_path):
         assert not list((tmp_path / "x" / "stages").glob("*.npz"))  # no work was done
 
 
+def test_values_of_a_floor_need_a_floor(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "floating")
+    stated = json.loads((folder / "capture.json").read_text())
+    del stated["floor"]
+    (tmp_path / "floating" / "capture.json").write_text(json.dumps(stated))
+    for option, where in (("--free", "free"), ("--fix", "fixed")):
+        result = run(tmp_path / "floating", "--out", tmp_path / "x", option, "floor_height", *SMALL)
+        assert isinstance(result.exception, InputError)
+        assert f"{where}: got 'floor_height', but the capture has no floor" in str(result.exception)
+        assert not (tmp_path / "x" / "stages").exists()  # no work was done
+
+
 @pytest.mark.wrong_types
 def test_options_of_another_type_are_refused(folder):
     with pytest.raises(InputError, match="options: got a value of type dict; expected RefineOptions"):

@@ -147,5 +147,5 @@ def test_sides_that_no_camera_sees_and_a_cut_picture_are_told(bare, tmp_path):
     found = reconstruct(upper, options=QUICK)
     cut, unseen = found.warnings
     assert "view2: the object leaves the picture in frame 0" in cut
-    assert "closed by a membrane: no camera sees the body from below" in unseen
+    assert "do not tell its place: no camera sees the body from below" in unseen
     assert found.to_json()["warnings"] == [cut, unseen]
