@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from pydantic import JsonValue
 
 from data_gen.simulate import Samples
 from physconvex import InputError
-from physconvex.io import Camera, read_video
+from physconvex.io import Camera, read_video, whole_file, write_json
 
 FORMAT_VERSION = 1
 SPLITS = ("train", "validation", "test")
@@ -69,14 +68,14 @@ def write_claim(root: Path, claim: Mapping[str, object]) -> None:
             )
         return
     root.mkdir(parents=True, exist_ok=True)
-    _write_json(path, claim)
+    write_json(path, claim, sort_keys=True)
 
 
 def write_given_up(root: Path, simulation: int, failures: list[str]) -> None:
     """Record that all attempts at a simulation failed, so that it is not tried again."""
     path = _given_up_file(root, simulation)
     path.parent.mkdir(exist_ok=True)
-    _write_json(path, {"simulation": simulation, "failures": failures})
+    write_json(path, {"simulation": simulation, "failures": failures}, sort_keys=True)
 
 
 def write_simulation(
@@ -87,7 +86,7 @@ def write_simulation(
     partial = final.with_name(f".partial-{final.name}")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    _write_json(partial / "simulation.json", metadata)
+    write_json(partial / "simulation.json", metadata, sort_keys=True)
     np.savez(partial / "samples.npz", **{name: value.astype(np.float32) for name, value in vars(samples).items()})
     for number, view in enumerate(views):
         (partial / f"view{number}.mp4").write_bytes(view.video)
@@ -96,20 +95,9 @@ def write_simulation(
             mask=np.packbits(view.mask, axis=-1),
             shape=np.array(view.mask.shape),
         )
-        _write_json(partial / f"view{number}.json", view.metadata)
+        write_json(partial / f"view{number}.json", view.metadata, sort_keys=True)
     shutil.rmtree(final, ignore_errors=True)
     partial.rename(final)
-
-
-def _write_json(path: Path, content: object) -> None:
-    _replace(path, json.dumps(content, indent=1, sort_keys=True))
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a text file that appears whole or not at all."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
 
 
 def finish_dataset(root: Path, configuration: dict[str, JsonValue], seed: int, version: str) -> tuple[int, ...]:
@@ -124,12 +112,12 @@ def finish_dataset(root: Path, configuration: dict[str, JsonValue], seed: int, v
     folders = sorted((root / "simulations").glob("[0-9]*"))
     rows = [row for folder in folders for row in _rows(folder)]
     failures, given_up = _failures(root, folders)
-    _replace(root / "failures.jsonl", "".join(json.dumps(failure) + "\n" for failure in failures))
+    with whole_file(root / "failures.jsonl") as partial:
+        partial.write_text("".join(json.dumps(failure) + "\n" for failure in failures), encoding="utf-8")
     if not rows:
         raise InputError(f"{root}: no simulation succeeded ({failures[-1]['message'] if failures else 'none tried'})")
-    partial = root / "index.parquet.partial"
-    pq.write_table(pa.Table.from_pylist(rows), partial)
-    os.replace(partial, root / "index.parquet")
+    with whole_file(root / "index.parquet") as partial:
+        pq.write_table(pa.Table.from_pylist(rows), partial)
     files = {str(f.relative_to(root)): _sha256(f) for folder in folders for f in sorted(folder.iterdir())}
     files |= {name: _sha256(root / name) for name in ("index.parquet", "failures.jsonl")}
     manifest = {
@@ -144,7 +132,7 @@ def finish_dataset(root: Path, configuration: dict[str, JsonValue], seed: int, v
         "given_up": given_up,
         "files": files,
     }
-    _write_json(root / "manifest.json", manifest)
+    write_json(root / "manifest.json", manifest, sort_keys=True)
     return tuple(given_up)
 
 

@@ -27,6 +27,7 @@ from inference.sources import ClipSource, Found, displayed_path, find_sources, f
 from inference.streaming import ClipResult, Paths, as_list, stream_results
 from inference.table import ResultRow
 from physconvex import __version__
+from physconvex.io import write_json
 
 _LOG = logging.getLogger("physconvex")
 
@@ -243,10 +244,7 @@ def _read_runs(out: Path) -> list[dict[str, JsonValue]]:
 
 
 def _write_runs(out: Path, runs: list[dict[str, JsonValue]]) -> None:
-    temporary = out / ".partial-run.json"
-    text = json.dumps({"schema": "physconvex/runs/1", "runs": runs}, indent=1, ensure_ascii=False)
-    temporary.write_text(text + "\n", encoding="utf-8")
-    os.replace(temporary, out / "run.json")
+    write_json(out / "run.json", {"schema": "physconvex/runs/1", "runs": runs})
 
 
 def _now() -> str:

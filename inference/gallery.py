@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from markupsafe import Markup, escape
 
 from inference.table import ResultRow
 from inference.units import format_pascals, format_pascals_range
-from physconvex.io import data_uri
+from physconvex.io import data_uri, whole_file
 
 CLIPS_SHOWN = 300
 """Most clips on one page; the tables hold all."""
@@ -33,9 +32,8 @@ def write_gallery(out: Path, rows: Sequence[ResultRow]) -> Path:
         cards=[_card(out / "clips", row, stiffness, poisson) for row in shown],
     )
     path = out / "gallery.html"
-    temporary = out / ".partial-gallery.html"
-    temporary.write_text(page + "\n", encoding="utf-8")
-    os.replace(temporary, path)
+    with whole_file(path) as partial:
+        partial.write_text(page + "\n", encoding="utf-8")
     return path
 
 

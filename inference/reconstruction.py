@@ -24,7 +24,7 @@ from inference.reconstruction_views import CaptureViews, capture_views, warnings
 from inference.settings import ReconstructOptions
 from physconvex import InputError
 from physconvex.convex import ConvexField, read_ply, write_glb, write_ply
-from physconvex.io import Picture, html_summary, load_capture, png_bytes, read_mesh, write_video
+from physconvex.io import Picture, html_summary, load_capture, png_bytes, read_mesh, write_json, write_video
 from physconvex.numerics import device_named
 from physconvex.reconstruction import (
     FitProgress,
@@ -418,10 +418,7 @@ def _write(
     if turntable:
         frames = film(itertools.repeat(result.field.to(place)), orbit(result.field, _FILM_FRAMES))
         write_video(folder / FILM, frames, fps=_FILM_RATE)
-    text = json.dumps({"claim": claim, **result.to_json()}, indent=1) + "\n"
-    partial = folder / f".{RESULT}.part"
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(folder / RESULT)
+    write_json(folder / RESULT, {"claim": claim, **result.to_json()}, allow_nan=True)
     (folder / STATE).unlink(missing_ok=True)
 
 

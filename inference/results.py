@@ -29,6 +29,7 @@ from inference.prediction import Prediction
 from inference.sources import ClipSource, SourceProblem, displayed_path
 from inference.table import ResultRow, row_of_error, row_of_prediction, write_csv, write_parquet
 from physconvex import InputError
+from physconvex.io import whole_file
 
 _UNSAFE = re.compile(r"[^\w.+-]+", re.UNICODE)
 _MAX_BYTES = 120  # leaves room for suffixes below the 255 bytes that file systems allow
@@ -170,12 +171,10 @@ class ResultsFolder:
         return self._write(path, lambda target: target.write_bytes(data))
 
     def _write(self, path: Path, write: Callable[[Path], object]) -> int:
-        """Write under a temporary name that keeps the suffix, then rename; return the size [bytes]."""
-        temporary = path.with_name(f".partial-{path.name}")
-        write(temporary)
-        size = temporary.stat().st_size
-        os.replace(temporary, path)
-        return size
+        """Write, whole or not at all; return the size [bytes]."""
+        with whole_file(path) as partial:
+            write(partial)
+            return partial.stat().st_size
 
     def _write_tables(self, order: Sequence[str], *, parquet: bool = False) -> tuple[ResultRow, ...]:
         rows = tuple(self._ordered_rows(order))
@@ -184,9 +183,8 @@ class ResultsFolder:
             self._write(self.path / "predictions.parquet", lambda target: write_parquet(target, rows))
         if self._csv is not None:
             self._csv.close()
-        with open(path.with_name(".partial-predictions.csv"), "w", encoding="utf-8", newline="") as file:
+        with whole_file(path) as partial, open(partial, "w", encoding="utf-8", newline="") as file:
             write_csv(file, rows, header=True)
-        os.replace(file.name, path)
         self._csv = open(path, "a", encoding="utf-8", newline="")
         return rows
 

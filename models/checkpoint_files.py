@@ -14,7 +14,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from physconvex import InputError
-from physconvex.io import FrozenConfig
+from physconvex.io import FrozenConfig, whole_file
 
 BUNDLED: Path = Path(__file__).parent / "checkpoints"
 
@@ -85,9 +85,8 @@ def save_network(
         "model_card.md": model_card.encode(),
     }
     for name, content in contents.items():
-        part = target / f"{name}.part"
-        part.write_bytes(content)
-        part.replace(target / name)
+        with whole_file(target / name) as partial:
+            partial.write_bytes(content)
 
 
 def _stored(value: Tensor, dtype: torch.dtype) -> Tensor:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -17,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
 from models import MOMENT_NAMES, ClipConfig, PreparedClip, prepare_clip
-from physconvex.io import end_with_parent
+from physconvex.io import end_with_parent, whole_file
 from train.records import LabelledClip, dataset_checksum
 
 _CHUNK = 8
@@ -146,9 +145,8 @@ def _open_arrays(folder: Path, count: int, settings: ClipConfig) -> dict[str, np
     for name, (shape, dtype) in shapes.items():
         path = folder / f"{name}.npy"
         if not path.is_file():
-            part = folder / f"{name}.part"
-            np.lib.format.open_memmap(part, mode="w+", dtype=dtype, shape=shape).flush()
-            os.replace(part, path)
+            with whole_file(path) as partial:
+                np.lib.format.open_memmap(partial, mode="w+", dtype=dtype, shape=shape).flush()
         arrays[name] = np.load(path, mmap_mode="r+")
     return arrays
 

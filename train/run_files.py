@@ -22,6 +22,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 import physconvex
 from physconvex import InputError
+from physconvex.io import whole_file
 from train.config import TrainConfig
 from train.records import dataset_checksum
 
@@ -88,12 +89,10 @@ class TrainingState:
             {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()},
             metadata={"format": _FORMAT, "progress": json.dumps(asdict(progress))},
         )
-        part = self.path.with_suffix(".part")
-        with part.open("wb") as file:
+        with whole_file(self.path) as partial, partial.open("wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(part, self.path)
 
     def load(self, fingerprint: str, *, resume: bool) -> TrainingProgress:
         """Restore the file if there is one and it is wanted; a new run's progress otherwise.
@@ -126,9 +125,8 @@ class RunLog:
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / "log.jsonl"
         kept = [line for line in _whole_lines(path) if json.loads(line)["step"] <= first_step and first_step > 0]
-        part = path.with_suffix(".part")
-        part.write_text("".join(kept), encoding="utf-8")
-        part.replace(path)
+        with whole_file(path) as partial:
+            partial.write_text("".join(kept), encoding="utf-8")
         self._file = path.open("a", encoding="utf-8")
         self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=first_step + 1)
 

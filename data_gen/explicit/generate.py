@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from data_gen.engines import WorkerOptions, run_tasks
 from data_gen.explicit.bodies import FPS, GRAVITY, LARGEST, FallingBody, falling_body
 from data_gen.scene import draw_drop, draw_object
 from physconvex import ConvergenceError, InputError, __version__
+from physconvex.io import whole_file
 from physconvex.mesh import tetrahedralize_implicit
 from physconvex.numerics import one_torch_thread
 
@@ -167,10 +167,8 @@ def save_bodies(path: Path, shapes: Sequence[Sequence[FallingBody]], *, drawn: t
     for name in ("corners", "tets"):
         content[name] = np.concatenate([getattr(shape, name) for shape in first])
         content[f"{name}_count"] = np.array([len(getattr(shape, name)) for shape in first])
-    part = path.with_suffix(".part")
-    with part.open("wb") as file:
+    with whole_file(path) as partial, partial.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **content)
-    os.replace(part, path)
 
 
 def load_bodies(path: Path) -> list[FallingBody]:

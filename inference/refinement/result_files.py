@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import shlex
@@ -18,7 +17,7 @@ from inference.refinement.pictures import draw_fit, write_side_by_side
 from inference.refinement.result import Refinement
 from physconvex import __version__
 from physconvex.convex import write_ply
-from physconvex.io import load_capture
+from physconvex.io import load_capture, write_json
 
 
 def write_refinement(
@@ -64,11 +63,5 @@ def write_refinement(
         "python": platform.python_version(),
         "options": RefineOptions.or_default(options).to_json(),
     }
-    _write_json(folder / "run.json", run)
-    _write_json(folder / "refinement.json", found.to_json())
-
-
-def _write_json(path: Path, content: dict[str, JsonValue]) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    partial.write_text(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    write_json(folder / "run.json", run)
+    write_json(folder / "refinement.json", found.to_json())

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from inference.reconstruction import Reconstruction
 from inference.refinement.options import RefineOptions
 from physconvex import InputError, __version__
 from physconvex.identify import Candidate, Correction, Fit, FullRun, Iteration, Parameter, RollOuts
-from physconvex.io import Capture, Workers
+from physconvex.io import Capture, Workers, whole_file
 
 Arrays = dict[str, np.ndarray]
 Scanned = tuple[tuple[Parameter, ...], ...]
@@ -122,9 +121,8 @@ class Stages:
     def _write(self, name: str, arrays: Arrays) -> None:
         if self.folder is None:
             return
-        partial = self.folder / f".{name}.{os.getpid()}.npz"
-        np.savez_compressed(partial, **arrays, **{_KEY: np.array(self.key)})  # type: ignore[arg-type]
-        os.replace(partial, self.folder / f"{name}.npz")
+        with whole_file(self.folder / f"{name}.npz") as partial:
+            np.savez_compressed(partial, **arrays, **{_KEY: np.array(self.key)})  # type: ignore[arg-type]
 
 
 @dataclass(eq=False)

@@ -26,6 +26,7 @@ from .video.images import read_image_sequence as read_image_sequence
 from .video.reading import read_video as read_video
 from .video.result import Video as Video, VideoCause as VideoCause, VideoError as VideoError
 from .video.writing import write_video as write_video
+from .whole_files import whole_file as whole_file, write_json as write_json
 from .workers import (
     ONE_THREAD as ONE_THREAD,
     Workers as Workers,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -18,6 +17,7 @@ from torch import Tensor
 
 from physconvex.convex import ConvexField, FreeParameters
 from physconvex.errors import InputError
+from physconvex.io import whole_file
 from physconvex.reconstruction.config import ReconstructionConfig
 from physconvex.reconstruction.field_refinement import hidden, refine_field
 from physconvex.reconstruction.observation import Observation
@@ -199,12 +199,8 @@ def save_fit(state: FitState, path: Path, *, claim: str) -> None:
         "seconds": state.seconds,
         "adam_steps": state.adam.steps,
     }
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with whole_file(path) as partial:
         save_file(tensors, partial, metadata={"state": json.dumps(numbers)})
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def load_fit(path: Path, *, claim: str) -> FitState | None:

@@ -7,7 +7,6 @@ with the same losses.
 from __future__ import annotations
 
 import logging
-import os
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -20,6 +19,7 @@ from torch import Tensor
 
 from data_gen import CameraConfig
 from models import STATE_SCALE, BinnedDensity, NetworkOutput, PhysicsNetwork, answer_both_ways
+from physconvex.io import whole_file
 from train.config import TrainConfig
 from train.falls.augment import augment_at_once
 from train.falls.batches import FallBatch, RealClips, draw_batch, joined_batches, real_batch
@@ -199,9 +199,8 @@ class _Run:
         log.write("validation", progress.step, score=score, **found)
         if progress.best_score is None or score < progress.best_score:
             progress = replace(progress, best_score=score)
-            part = self._best.with_suffix(".part")
-            save_file({name: value.cpu().contiguous() for name, value in network.state_dict().items()}, part)
-            os.replace(part, self._best)
+            with whole_file(self._best) as partial:
+                save_file({name: value.cpu().contiguous() for name, value in network.state_dict().items()}, partial)
         self.state.save(progress)
         return progress
 

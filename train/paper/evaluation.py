@@ -24,12 +24,12 @@ from physconvex.convex import ConvexField, bind_to_tets, read_ply
 from physconvex.dynamics import simulate
 from physconvex.fem import SurfacePoints
 from physconvex.identify import FullModel, TwinOptions, base_twin
-from physconvex.io import Camera, Capture, load_capture, read_mesh
+from physconvex.io import Camera, Capture, load_capture, read_mesh, write_json
 from physconvex.mesh import Embedding, TetMesh
 from train.options import PaperOptions
 from train.paper.pictures import score_pictures
 from train.paper.published_way import NAMES, WAYS, PublishedFit, PublishedOptions, fit_as_published
-from train.paper.rows import Change, ObjectRow, PaperPart, PictureScores, write_whole
+from train.paper.rows import Change, ObjectRow, PaperPart, PictureScores
 
 CONSTANT = (5.5, 0.345)  # the middle of the ranges 1e4 to 1e7 Pa and .2 to .49
 POINTS = 6  # per convex, of the main columns
@@ -100,7 +100,7 @@ def _claim(file: Path, options: PaperOptions) -> None:
             f"{file.parent}: holds an evaluation with other options ({', '.join(others)}); choose another folder"
         )
     if held != held | settings:
-        write_whole(file, held | settings)
+        write_json(file, held | settings)
 
 
 def _comparisons(options: PaperOptions) -> tuple[str, ...]:

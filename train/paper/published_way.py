@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -43,7 +42,7 @@ from physconvex.identify import (
     with_few_samples,
     with_weights,
 )
-from physconvex.io import Capture
+from physconvex.io import Capture, whole_file
 from physconvex.reduced import NeuralWeights, ReducedTrajectory
 
 NAMES = ("log10_youngs_modulus", "poisson_ratio")
@@ -264,9 +263,8 @@ class _Adam:
             tensors[f"{number}"] = part.detach().contiguous()
             tensors |= {f"{number}.{name}": value.contiguous() for name, value in self.adam.state[part].items()}
         file.parent.mkdir(parents=True, exist_ok=True)
-        partial_file = file.with_name(f".{file.name}.{os.getpid()}.part")
-        save_file(tensors, partial_file, metadata={"claim": claim})
-        os.replace(partial_file, file)
+        with whole_file(file) as unfinished:
+            save_file(tensors, unfinished, metadata={"claim": claim})
 
     def _load(self, file: Path, claim: str) -> None:
         with safe_open(file, framework="pt") as stored:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypedDict, cast
 
 from pydantic import JsonValue
+
+from physconvex.io import write_json
 
 _OWN = ("object", "truth", "truth_itself")
 
@@ -103,16 +104,9 @@ class ObjectRow:
 
     def write(self, file: Path) -> None:
         """To its file, whole or not at all."""
-        write_whole(file, self.to_json())
+        write_json(file, self.to_json(), allow_nan=True)  # PSNR of equal pictures is infinite
 
     def with_part(self, name: str, key: str) -> PaperPart | None:
         """A part with that entry; None if it is missing or failed."""
         part = self.parts.get(name)
         return part if part is not None and key in part else None
-
-
-def write_whole(file: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON, whole or not at all, since another process may read it meanwhile."""
-    unfinished = file.with_suffix(f".{os.getpid()}.part")
-    unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    unfinished.replace(file)

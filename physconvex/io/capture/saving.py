@@ -1,6 +1,5 @@
 """Write a capture folder, whole or not at all."""
 
-import json
 import os
 import shutil
 from collections.abc import Mapping
@@ -16,6 +15,7 @@ from physconvex.io.capture.folder import Capture
 from physconvex.io.capture.metadata import CAPTURE_FILE
 from physconvex.io.capture.parts import Boundary, Tracks
 from physconvex.io.video.writing import write_video
+from physconvex.io.whole_files import write_json
 from physconvex.mesh import TetMesh
 
 
@@ -56,7 +56,7 @@ def save_capture(
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     try:
-        _write_json(partial / CAPTURE_FILE, _metadata(capture))
+        write_json(partial / CAPTURE_FILE, _metadata(capture))
         _write_arrays(partial, tets, tracks, boundary)
         for name, frames in videos.items():
             write_video(partial / f"{name}.mp4", frames, fps=capture.fps, crf=crf)
@@ -67,7 +67,7 @@ def save_capture(
         if mesh is not None:
             mesh.export(partial / "mesh.obj")
         if truth is not None:
-            _write_json(partial / "truth.json", truth)
+            write_json(partial / "truth.json", truth)
         os.rename(partial, capture.folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
@@ -130,10 +130,6 @@ def _metadata(capture: Capture) -> dict[str, JsonValue]:
         if vector is not None:
             content[name] = np.asarray(vector).tolist()
     return content | {"cameras": [camera.to_json() for camera in capture.cameras]}
-
-
-def _write_json(path: Path, content: Mapping[str, object]) -> None:
-    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _write_arrays(folder: Path, tets: TetMesh | None, tracks: Tracks | None, boundary: Boundary | None) -> None:

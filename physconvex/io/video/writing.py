@@ -1,7 +1,6 @@
 """Write H.264 files whose bytes depend only on the frames."""
 
 import itertools
-import os
 from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
@@ -10,6 +9,7 @@ import av
 import numpy as np
 
 from physconvex.errors import InputError
+from physconvex.io.whole_files import whole_file
 
 # With macroblock trees x264 reads uninitialised memory, unless the width is a multiple of this [px]: the same frames
 # then give different bytes from one call to the next (seen with x264 165 at widths of 48 to 240 px).
@@ -31,12 +31,8 @@ def write_video(
     path = Path(path)
     if not (np.isfinite(fps) and fps > 0):
         raise InputError(f"fps: got {fps!r}, expected a positive number of frames per second")
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    with whole_file(path) as partial:
         _encode(partial, frames, Fraction(fps).limit_denominator(100_000), crf, preset)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _encode(path: Path, frames: Iterable[np.ndarray], rate: Fraction, crf: int, preset: str) -> None:
