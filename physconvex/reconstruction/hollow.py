@@ -63,14 +63,16 @@ def find_hollow(surface: trimesh.Trimesh, observations: Sequence[Observation]) -
     areas = vertex_areas(surface)
     if areas[lid].sum() < MUCH * areas.sum():
         return None
-    cut = _Cut.through(surface, lid, observations, cell)
+    cut, outer = _Cut.through(surface, lid, observations, cell), cKDTree(surface.vertices)
     most = AGREED * _disagreement(surface, lid, observations, cosines)
     tried: dict[float, float] = {}
     thickness = THINNEST * cell
-    while (not tried or tried[max(tried)] < WORSE * min(tried.values())) and (hollow := cut.at(thickness)) is not None:
-        inside = cKDTree(surface.vertices).query(hollow.vertices, distance_upper_bound=0.5 * cell)[0] == np.inf
+    while (hollow := cut.at(thickness)) is not None:
+        inside = outer.query(hollow.vertices, distance_upper_bound=0.5 * cell)[0] == np.inf
         shown = cosines_shown(hollow, observations, cell=cell)
         tried[thickness] = _disagreement(hollow, inside, observations, shown)
+        if tried[thickness] > WORSE * min(tried.values()):
+            break
         thickness *= THICKER
     best = _least(tried)
     if best is None or tried[best[0]] > most:
