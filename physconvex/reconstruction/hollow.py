@@ -2,7 +2,8 @@
 
 Where pictures look into a hollow, the visual hull has a lid, whose colours differ from picture to picture. The body is
 cut out under the lid, up to a distance from all other surfaces: the wall's thickness, at which the pictures agree best
-about the colours of the inside. What none of them shows of it has the same thickness.
+about the pattern of the inside. What none of them shows of it has the same thickness. If its colours differ from
+picture to picture too, it was no lid: the body shines there.
 """
 
 from __future__ import annotations
@@ -21,14 +22,20 @@ from scipy.spatial import cKDTree
 from physconvex.reconstruction.carving import cell_of, cube_lattice, object_box
 from physconvex.reconstruction.hull_surface import level_surface
 from physconvex.reconstruction.observation import Observation
-from physconvex.reconstruction.photo_consistency import AGREE, colours_apart, colours_seen, cosines_shown
+from physconvex.reconstruction.photo_consistency import (
+    AGREE,
+    colours_apart,
+    colours_seen,
+    cosines_shown,
+    patterns_apart,
+)
 from physconvex.reconstruction.surface_errors import MUCH, contested_places, vertex_areas
 
 LEVEL = 0.7  # least cosine between the normals of a rim and of its lid
 THINNEST, THICKER = 1.5, 1.25  # thickness of the wall: the least [cells], and the factor between two that are tried
-WORSE = 2.0  # disagreement, of the least so far, beyond which no thicker wall is tried
+WORSE = 1.15  # disagreement, of the least so far, beyond which no thicker wall is tried
 LEAST_HOLLOW = 0.05  # of the volume: smaller ones are not looked for
-AGREED = 0.5  # most disagreement of the pictures about the inside, of that about the lid
+AGREED = 0.5  # most disagreement of the pictures about the colours of the inside, of that about the lid
 ABOVE = 3.0  # cells by which the cut begins outside the lid
 EVENED = 10  # steps of Taubin's filter on the inside
 
@@ -64,24 +71,30 @@ def find_hollow(surface: trimesh.Trimesh, observations: Sequence[Observation]) -
     if areas[lid].sum() < MUCH * areas.sum():
         return None
     cut, outer = _Cut.through(surface, lid, observations, cell), cKDTree(surface.vertices)
-    most = AGREED * _disagreement(surface, lid, observations, cosines)
+
+    def inside_of(hollow: trimesh.Trimesh) -> tuple[Bool[np.ndarray, " V"], Float[np.ndarray, "V C"]]:
+        inside = outer.query(hollow.vertices, distance_upper_bound=0.5 * cell)[0] == np.inf
+        return inside, cosines_shown(hollow, observations, cell=cell)
+
     tried: dict[float, float] = {}
     thickness = THINNEST * cell
     while (hollow := cut.at(thickness)) is not None:
-        inside = outer.query(hollow.vertices, distance_upper_bound=0.5 * cell)[0] == np.inf
-        shown = cosines_shown(hollow, observations, cell=cell)
-        tried[thickness] = _disagreement(hollow, inside, observations, shown)
+        inside, shown = inside_of(hollow)
+        tried[thickness] = _patterns_disagree(hollow, inside, observations, shown)
         if tried[thickness] > WORSE * min(tried.values()):
             break
         thickness *= THICKER
-    best = _least(tried)
-    if best is None or tried[best[0]] > most:
+    thickness = _least(tried)
+    found = cut.at(thickness)
+    if found is None:
         return None
-    found = cut.at(best[1])
-    assert found is not None  # it lies between two that are
+    inside, shown = inside_of(found)
+    most = AGREED * _colours_disagree(surface, lid, observations, cosines)
+    if not _colours_disagree(found, inside, observations, shown) < most:
+        return None
     colours = colours_seen(found, observations, cell=cell)
     found.visual = trimesh.visual.ColorVisuals(found, vertex_colors=colours)
-    return Hollow(found, best[1], 1 - found.volume / surface.volume)
+    return Hollow(found, thickness, 1 - found.volume / surface.volume)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,30 +172,50 @@ def _parts(surface: trimesh.Trimesh, chosen: Bool[np.ndarray, " V"]) -> Int[np.n
     return connected_components(links, directed=False)[1]
 
 
-def _disagreement(
+def _of_several(
+    surface: trimesh.Trimesh, chosen: Bool[np.ndarray, " V"], cosines: Float[np.ndarray, "V C"]
+) -> tuple[Int[np.ndarray, " Q"], Float[np.ndarray, "Q C"]]:
+    """Chosen vertices that several views show, and the pixels of each in each view, but for a factor."""
+    rows = np.nonzero(chosen & ((cosines > 0).sum(axis=1) >= AGREE))[0]
+    return rows, vertex_areas(surface)[rows, None] * cosines[rows]
+
+
+def _colours_disagree(
     surface: trimesh.Trimesh,
     chosen: Bool[np.ndarray, " V"],
     observations: Sequence[Observation],
     cosines: Float[np.ndarray, "V C"],
 ) -> float:
-    """Mean distance of the colours of chosen vertices from their mean, over all pixels that several views show."""
-    chosen = chosen & ((cosines > 0).sum(axis=1) >= AGREE)
-    if not chosen.any():
+    """Mean distance of the colours of chosen vertices from their mean, over all pixels that show them."""
+    rows, pixels = _of_several(surface, chosen, cosines)
+    apart = colours_apart(np.asarray(surface.vertices)[rows], observations, cosines[rows])
+    return float((pixels * apart).sum() / pixels.sum()) if len(rows) else np.inf
+
+
+def _patterns_disagree(
+    surface: trimesh.Trimesh,
+    chosen: Bool[np.ndarray, " V"],
+    observations: Sequence[Observation],
+    cosines: Float[np.ndarray, "V C"],
+) -> float:
+    """Share of the pattern of chosen vertices that the views do not have in common, over all pixels that show them."""
+    rows, pixels = _of_several(surface, chosen, cosines)
+    if not len(rows):
         return np.inf
-    pixels = vertex_areas(surface)[chosen, None] * cosines[chosen]
-    apart = colours_apart(np.asarray(surface.vertices)[chosen], observations, cosines[chosen])
-    return float((pixels * apart).sum() / pixels.sum())
+    at = (np.asarray(surface.vertices)[rows], np.asarray(surface.vertex_normals)[rows])
+    apart, size = patterns_apart(at, observations, cosines[rows])
+    return float((pixels * apart).sum() / max((pixels * size).sum(), 1e-12))
 
 
-def _least(tried: dict[float, float]) -> tuple[float, float] | None:
-    """The value with the least function, and the minimum of a parabola through it and its neighbours."""
+def _least(tried: dict[float, float]) -> float:
+    """The minimum of a parabola through the least value of a function and its neighbours; infinite if there is none."""
     places, values = np.array(list(tried)), np.array(list(tried.values()))
     if not np.isfinite(values).any():
-        return None
-    best = int(np.nanargmin(values))
+        return np.inf
+    best = int(np.argmin(values))
     around = slice(max(best - 1, 0), best + 2)
     if len(values[around]) < 3 or not np.isfinite(values[around]).all():
-        return float(places[best]), float(places[best])
+        return float(places[best])
     steps = np.log(places[around] / places[best])
     curvature, slope, _ = np.polyfit(steps, values[around], 2)
-    return float(places[best]), float(places[best] * np.exp(np.clip(-slope / (2 * curvature), steps[0], steps[-1])))
+    return float(places[best] * np.exp(np.clip(-slope / (2 * curvature), steps[0], steps[-1])))

@@ -120,6 +120,29 @@ def colours_apart(
     return np.linalg.norm(colours - np.einsum("vc,vci->vi", _shares(cosines), colours)[:, None], axis=2)
 
 
+def patterns_apart(
+    at: PlacedNormals, observations: Sequence[Observation], cosines: Float[np.ndarray, "Q C"]
+) -> tuple[Float[np.ndarray, "Q C"], Float[np.ndarray, "Q C"]]:
+    """How the views' patches around places differ, whatever the light: rms distance from their mean, and rms size.
+
+    Of each patch its own mean is taken away; the mean over the views is by the squared cosine.
+    """
+    places, normals = at
+    patches, shares = _patches(normals, footprint(observations)), _shares(cosines)
+    mean, shown = np.zeros((*patches.shape[:2], 3), np.float32), []
+    for cosine, share, seen in zip(cosines.T, shares.T, observations, strict=True):
+        rows = np.nonzero(cosine > 0)[0]
+        colours = _sampled(seen, places[rows, None] + patches[rows]).numpy()
+        colours -= colours.mean(axis=1, keepdims=True)
+        mean[rows] += share[rows, None, None].astype(np.float32) * colours
+        shown.append((rows, colours))
+    apart, size = np.zeros(cosines.shape), np.zeros(cosines.shape)
+    for column, (rows, colours) in enumerate(shown):
+        for out, part in ((apart, colours - mean[rows]), (size, colours)):
+            out[rows, column] = np.sqrt(np.square(part).sum(axis=2).mean(axis=1))
+    return apart, size
+
+
 def _shares(cosines: Float[np.ndarray, "V C"]) -> Float[np.ndarray, "V C"]:
     """Weights of the views by the squared cosine; their sum is 1, or 0 where none shows the place."""
     return np.square(cosines) / np.maximum(np.square(cosines).sum(axis=1, keepdims=True), 1e-12)
