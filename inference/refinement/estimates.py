@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from inference.refinement.convex_stage import ConvexFit
 from inference.refinement.meshes import comparison_mesh, is_of_capture
-from inference.refinement.result import FittedParameter, interval_of
+from inference.refinement.result import FittedParameter, interval_of, unit_of
 from inference.refinement.stages import Arrays, RefinementRun, arrays_of_fit, fit_of
 from physconvex import ConvergenceError
 from physconvex.identify import (
@@ -33,6 +33,7 @@ from physconvex.mesh import TetMesh
 # and ν in a first-order fit to motions of other meshes (benchmarks/twin_meshes.py)
 _BY_MESH = {"log10_youngs_modulus": 0.012, "poisson_ratio": 0.03}
 _RATIO = "poisson_ratio"
+_AGAINST = 3.0  # standard deviations of its prior, from which on an estimate is told
 # of twenty elastic weights: rms error of E on reconstructed bodies whose video the twin follows [decades]
 # (docs/results/paper_images.md); largest bias of ν against the full model (benchmarks/reduced_accuracy.py)
 _BY_REDUCTION = {"log10_youngs_modulus": 0.16, "poisson_ratio": 0.19}
@@ -77,6 +78,20 @@ def fitted_parameters(
             FittedParameter(p.name, value, *parts, interval, usual.lower, usual.upper, prior, float(geometry[k]))
         )
     return tuple(out)
+
+
+def against_priors(estimates: Sequence[FittedParameter]) -> list[str]:
+    """A note on each value that lies far from its prior."""
+    notes = []
+    for one in estimates:
+        mean, sigma = one.prior or (one.value, 1.0)
+        if (away := abs(one.value - mean) / sigma) > _AGAINST:
+            notes.append(
+                f"{one.name} is {one.value:.3g} {unit_of(one.name)}, {away:.0f} standard deviations from its prior "
+                f"({mean:.3g} ± {sigma:.2g}): the model takes it for something that it lacks, and so may the other "
+                "values."
+            )
+    return notes
 
 
 def _variances(found: Fit, sources: Sequence[slice], stated: Sequence[bool]) -> Float[np.ndarray, " N"]:

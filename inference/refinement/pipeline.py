@@ -18,6 +18,7 @@ from inference.refinement.colour_search import fit_colours
 from inference.refinement.convex_stage import CONVEX, convex_fit
 from inference.refinement.estimates import (
     FitWithError,
+    against_priors,
     fitted_parameters,
     slope_by_ratio,
     with_model_error,
@@ -251,7 +252,7 @@ def _result(
     known = identifiability(found)
     estimates, rms, notes = _estimates(problem, told, known, by_geometry)
     drift, fixed = drift_of(problem, found), _fixed(run, problem)
-    run.warnings += [*notes, *(() if drift is None else drift.sentences())]
+    run.warnings += [*notes, *against_priors(estimates), *(() if drift is None else drift.sentences())]
     last = StageEstimate.of("corrected" if run.options.correction else "reduced", estimates, fixed)
     if run.options.stop_after is not None:
         last = replace(last, name=CONVEX)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from inference import RefinementRun, RefineOptions, Stages
+from inference import FittedParameter, RefinementRun, RefineOptions, Stages
 from inference.refinement import estimates, meshes
 from inference.refinement.problem import HELD
 from physconvex import ConvergenceError
@@ -168,3 +168,14 @@ def test_bounds_of_a_held_value_do_not_cut_its_interval():
     )
     assert row.interval == pytest.approx((0.35 - 1.645 * 0.08, 0.35 + 1.645 * 0.08), abs=2e-3)
     assert (row.lower, row.upper) == (0.0, 0.495) and row.prior == (0.35, HELD * parameter.step)
+
+
+def test_a_value_far_from_its_prior_is_told():
+    """A floor 86 mm below the stated one, which was known within 10 mm, was reported without a word."""
+    near, far = (
+        FittedParameter("floor_height", height, 0.002, 0.0, None, -np.inf, np.inf, (0.0, 0.0105))
+        for height in (-0.03, -0.086)
+    )
+    assert estimates.against_priors([near, replace(far, prior=None)]) == []
+    (told,) = estimates.against_priors([near, far])
+    assert told.startswith("floor_height is -0.086 m, 8 standard deviations from its prior (0 ± 0.011): ")
