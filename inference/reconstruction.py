@@ -230,9 +230,8 @@ def reconstruct(
     body_seconds = time.perf_counter() - clock
     field = _filled(field, state, body or body_surface(kind, views.training, mesh), config)
     error = None if body is None else surface_error(body, views.training)
-    warnings = (
-        *warnings_on_views(views.training), *_on_unseen(body, error, views), *_on_contested(error), *_on_hollow(hollow)
-    )  # fmt: skip
+    inside = _on_contested(error) if hollow is None else _on_hollow(hollow)
+    warnings = (*warnings_on_views(views.training), *_on_unseen(body, error, views), *inside)
     for warning in warnings:
         _LOG.warning("reconstruct: %s", warning)
     trained, tested = (score_views(field.to(place), part) for part in (views.training, views.held_out))
@@ -295,10 +294,8 @@ def _on_contested(error: SurfaceError | None) -> list[str]:
     ]
 
 
-def _on_hollow(hollow: Hollow | None) -> list[str]:
+def _on_hollow(hollow: Hollow) -> list[str]:
     """A warning of a hollow, whose wall is known in part alone."""
-    if hollow is None:
-        return []
     return [
         f"Pictures look into a hollow of {100 * hollow.share:.0f} % of what the silhouettes enclose. Its wall is "
         f"{1000 * hollow.thickness:.2g} mm thick where they show it, and taken to be so everywhere."

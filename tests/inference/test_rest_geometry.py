@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -16,10 +17,10 @@ from typer.testing import CliRunner
 from inference import ReconstructOptions, reconstruct, rest_geometry, with_rest_geometry
 from inference.simulation_command import simulate_command
 from physconvex import InputError
-from physconvex.convex import read_ply
-from physconvex.io import load_capture
+from physconvex.convex import ConvexField, read_ply
+from physconvex.io import Camera, load_capture
 from physconvex.reconstruction import ReconstructionConfig
-from tests.reconstruction.scenes import RADIUS, pictures, ring, speckled_ball
+from tests.reconstruction.scenes import RADIUS, WALL, cup, painted, pictures, ring, speckled_ball
 
 QUICK = ReconstructOptions(
     budget=400, steps=12, config=ReconstructionConfig(levels=(0.5, 1.0), level_shares=(0.5, 0.5), refinements=1)
@@ -29,11 +30,14 @@ QUICK = ReconstructOptions(
 @pytest.fixture(scope="module")
 def bare(tmp_path_factory) -> Path:
     """Pictures of frame 0 alone, from eight sides, without any mesh."""
-    folder = tmp_path_factory.mktemp("bare") / "capture"
+    return written(tmp_path_factory.mktemp("bare") / "capture", ring(8, size=96), speckled_ball())
+
+
+def written(folder: Path, views: list[Camera], field: ConvexField) -> Path:
+    """A capture of pictures of a field alone."""
     folder.mkdir()
-    views, ball = ring(8, size=96), speckled_ball()
     for camera in views:
-        frame, coverage = pictures(camera, ball)
+        frame, coverage = pictures(camera, field)
         Image.fromarray(frame).save(folder / f"{camera.name}.png")
         Image.fromarray(coverage).save(folder / f"{camera.name}_mask.png")
     content = {"fps": 24.0, "frames": 2, "cameras": [camera.to_json() for camera in views]}
@@ -60,6 +64,16 @@ def test_pictures_of_frame_0_give_a_closed_body_once(bare, tmp_path):
     written = trimesh.load(tmp_path / "reconstruction" / "body.glb", force="mesh", process=False)
     assert written.extents == pytest.approx(body.extents[[0, 2, 1]], rel=1e-3)
     assert min(written.visual.material.baseColorTexture.size) >= 1024
+
+
+@pytest.mark.slow
+def test_a_cup_is_hollow_and_its_wall_is_told(tmp_path):
+    found = reconstruct(written(tmp_path / "cup", ring(12, size=128), painted(cup())), options=QUICK)
+    assert found.body is not None and found.body.is_watertight
+    assert found.body.volume == pytest.approx(cup().volume, rel=0.25)
+    (told,) = [warning for warning in found.warnings if "hollow" in warning]
+    share, wall = re.search(r"hollow of (\d+) % .* wall is (\d+) mm thick", told).groups()
+    assert 35 < int(share) < 65 and int(wall) == pytest.approx(1000 * WALL, abs=3)
 
 
 def test_a_given_body_takes_the_place_of_the_mesh(bare, tmp_path):

@@ -1,4 +1,4 @@
-"""A striped ball seen from all round, small enough for tests."""
+"""A striped ball and a cup, seen from all round, small enough for tests."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from physconvex.reconstruction import Observation, observation_of
 from physconvex.render import render
 
 RADIUS = 0.05  # [m]
+WALL = 0.012  # [m]
+CELL = 0.0025  # [m], about
 
 
 def ball_mesh(subdivisions: int = 3) -> trimesh.Trimesh:
@@ -35,6 +37,31 @@ def speckled_ball() -> ConvexField:
 def _ball(colours: np.ndarray) -> ConvexField:
     mesh = ball_mesh()
     points = np.concatenate([mesh.triangles, 0.8 * mesh.triangles], axis=1) * 1.005
+    ones, rgb = torch.ones(len(points)), torch.as_tensor(colours, dtype=torch.float32)
+    return ConvexField(
+        torch.as_tensor(points, dtype=torch.float32), 4e4 * ones, ones, ones, coefficients_of_colour(rgb)
+    )
+
+
+def upright(radius: float, low: float, high: float) -> trimesh.Trimesh:
+    """A cylinder with small triangles."""
+    body = trimesh.creation.cylinder(radius=radius, height=high - low, sections=48)
+    body.apply_translation([0, 0, 0.5 * (low + high)])
+    return body.subdivide_to_size(2 * CELL)
+
+
+def cup() -> trimesh.Trimesh:
+    inside = upright(RADIUS - WALL, WALL - RADIUS, 2 * RADIUS)
+    return trimesh.boolean.difference([upright(RADIUS, -RADIUS, RADIUS), inside], engine="manifold")
+
+
+def painted(body: trimesh.Trimesh) -> ConvexField:
+    """Thin prisms under its triangles, in patches of two colours."""
+    body = body.subdivide_to_size(2 * CELL)
+    points = np.concatenate([body.triangles, body.triangles - 0.2 * WALL * body.face_normals[:, None]], axis=1)
+    x, y, z = body.triangles_center.T
+    patches = (np.sin(5 * np.arctan2(y, x)) * np.sin(180 * (z + 0.3 * x)) > 0)[:, None]
+    colours = np.where(patches, [0.9, 0.5, 0.2], [0.1, 0.3, 0.7])
     ones, rgb = torch.ones(len(points)), torch.as_tensor(colours, dtype=torch.float32)
     return ConvexField(
         torch.as_tensor(points, dtype=torch.float32), 4e4 * ones, ones, ones, coefficients_of_colour(rgb)

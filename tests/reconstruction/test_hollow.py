@@ -7,40 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-import trimesh
 from scipy.spatial import cKDTree
 
-from physconvex.convex import ConvexField, coefficients_of_colour
 from physconvex.reconstruction import find_hollow
-from tests.reconstruction.scenes import RADIUS, views
-
-WALL = 0.012  # [m]
-CELL = 0.0025  # [m], about
-
-
-def upright(radius: float, low: float, high: float) -> trimesh.Trimesh:
-    """A cylinder with small triangles."""
-    body = trimesh.creation.cylinder(radius=radius, height=high - low, sections=48)
-    body.apply_translation([0, 0, 0.5 * (low + high)])
-    return body.subdivide_to_size(2 * CELL)
-
-
-def cup() -> trimesh.Trimesh:
-    inside = upright(RADIUS - WALL, WALL - RADIUS, 2 * RADIUS)
-    return trimesh.boolean.difference([upright(RADIUS, -RADIUS, RADIUS), inside], engine="manifold")
-
-
-def painted(body: trimesh.Trimesh) -> ConvexField:
-    """Thin prisms under its triangles, in patches of two colours."""
-    body = body.subdivide_to_size(2 * CELL)
-    points = np.concatenate([body.triangles, body.triangles - 0.2 * WALL * body.face_normals[:, None]], axis=1)
-    x, y, z = body.triangles_center.T
-    patches = (np.sin(5 * np.arctan2(y, x)) * np.sin(180 * (z + 0.3 * x)) > 0)[:, None]
-    colours = np.where(patches, [0.9, 0.5, 0.2], [0.1, 0.3, 0.7])
-    ones, rgb = torch.ones(len(points)), torch.as_tensor(colours, dtype=torch.float32)
-    return ConvexField(
-        torch.as_tensor(points, dtype=torch.float32), 4e4 * ones, ones, ones, coefficients_of_colour(rgb)
-    )
+from tests.reconstruction.scenes import RADIUS, WALL, cup, painted, upright, views
 
 
 @pytest.fixture(scope="module")
