@@ -147,8 +147,8 @@ class _Cut:
         beyond = np.where(reached | (parts == 0), thickness - self.away, self.cell)
         tool = level_surface(np.clip(beyond, -self.cell, self.cell), origin=self.origin, cell=self.cell)
         tool = trimesh.smoothing.filter_taubin(tool, iterations=EVENED)
-        parts = trimesh.boolean.difference([self.surface, tool], engine="manifold").split()
-        return max(parts, key=lambda part: part.volume)
+        left = trimesh.boolean.difference([self.surface, tool], engine="manifold").split()
+        return max(left, key=lambda part: part.volume, default=None)
 
 
 def _largest_part(surface: trimesh.Trimesh, chosen: Bool[np.ndarray, " V"]) -> Bool[np.ndarray, " V"]:

@@ -47,3 +47,9 @@ def test_a_lid_that_shines_is_no_hollow(filled):
         where = torch.as_tensor(lid.reshape(camera.h, camera.w, 1))
         shining.append(replace(one, image=torch.where(where, glare.expand_as(one.image), one.image)))
     assert find_hollow(filled, shining) is None
+
+
+def test_a_body_that_shines_all_over_is_no_hollow(filled):
+    seen, draws = views(12, size=128, field=painted(filled)), np.random.default_rng(0)
+    shining = [replace(one, image=torch.full_like(one.image, draws.uniform())) for one in seen]
+    assert find_hollow(filled, shining) is None
