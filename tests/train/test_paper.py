@@ -1,6 +1,7 @@
 """The tables of a benchmark: arithmetic of the means, and one object from its generation to its row."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -169,10 +170,10 @@ def test_settings_are_written_whole_or_not_at_all(tmp_path, monkeypatch):
     evaluation._claim(file, fewer)
     before = file.read_text()
 
-    def killed(self, target):
+    def killed(source, target):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Path, "replace", killed)
+    monkeypatch.setattr(os, "replace", killed)
     evaluation._claim(file, fewer)  # nothing is new
     with pytest.raises(KeyboardInterrupt):
         evaluation._claim(file, SMALL)
