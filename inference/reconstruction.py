@@ -226,10 +226,9 @@ def reconstruct(
     state = _fit_and_store(state.to(place), views, config, folder=folder, claim=claim, on_step=on_step)
     field = state.field().to("cpu")
     clock = time.perf_counter()
-    body, hollow = _body(field, views)
+    body, error, hollow = _body(field, views)
     body_seconds = time.perf_counter() - clock
     field = _filled(field, state, body or body_surface(kind, views.training, mesh), config)
-    error = None if body is None else surface_error(body, views.training)
     inside = _on_contested(error) if hollow is None else _on_hollow(hollow)
     warnings = (*warnings_on_views(views.training), *_on_unseen(body, error, views), *inside)
     for warning in warnings:
@@ -259,15 +258,18 @@ def _filled(
     return field
 
 
-def _body(field: ConvexField, views: CaptureViews) -> tuple[trimesh.Trimesh | None, Hollow | None]:
-    """The closed surface and its hollow; none, with a warning, where the silhouettes contradict each other."""
+def _body(field: ConvexField, views: CaptureViews) -> tuple[trimesh.Trimesh | None, SurfaceError | None, Hollow | None]:
+    """The closed surface, its error and its hollow; none, with a warning, where silhouettes contradict each other."""
     try:
         filled = closed_surface(field, views.training)
-    except InputError as error:
-        _LOG.warning("reconstruct: no surface of the body: %s", error)
-        return None, None
-    hollow = find_hollow(filled, views.training)
-    return (filled if hollow is None else hollow.surface), hollow
+    except InputError as reason:
+        _LOG.warning("reconstruct: no surface of the body: %s", reason)
+        return None, None, None
+    error = surface_error(filled, views.training)
+    hollow = find_hollow(filled, views.training) if error.contested_share else None
+    if hollow is None:
+        return filled, error, None
+    return hollow.surface, surface_error(hollow.surface, views.training), hollow
 
 
 def _on_unseen(body: trimesh.Trimesh | None, error: SurfaceError | None, views: CaptureViews) -> list[str]:

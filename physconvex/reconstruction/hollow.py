@@ -72,15 +72,14 @@ def find_hollow(surface: trimesh.Trimesh, observations: Sequence[Observation]) -
         return None
     cut, outer = _Cut.through(surface, lid, observations, cell), cKDTree(surface.vertices)
 
-    def inside_of(hollow: trimesh.Trimesh) -> tuple[Bool[np.ndarray, " V"], Float[np.ndarray, "V C"]]:
+    def inside_of(hollow: trimesh.Trimesh) -> _Shown:
         inside = outer.query(hollow.vertices, distance_upper_bound=0.5 * cell)[0] == np.inf
-        return inside, cosines_shown(hollow, observations, cell=cell)
+        return _Shown.of(hollow, inside, observations, cosines_shown(hollow, observations, cell=cell))
 
     tried: dict[float, float] = {}
     thickness = THINNEST * cell
     while (hollow := cut.at(thickness)) is not None:
-        inside, shown = inside_of(hollow)
-        tried[thickness] = _patterns_disagree(hollow, inside, observations, shown)
+        tried[thickness] = inside_of(hollow).patterns_disagree()
         if tried[thickness] > WORSE * min(tried.values()):
             break
         thickness *= THICKER
@@ -88,9 +87,8 @@ def find_hollow(surface: trimesh.Trimesh, observations: Sequence[Observation]) -
     found = cut.at(thickness)
     if found is None:
         return None
-    inside, shown = inside_of(found)
-    most = AGREED * _colours_disagree(surface, lid, observations, cosines)
-    if not _colours_disagree(found, inside, observations, shown) < most:
+    most = AGREED * _Shown.of(surface, lid, observations, cosines).colours_disagree()
+    if not inside_of(found).colours_disagree() < most:
         return None
     colours = colours_seen(found, observations, cell=cell)
     found.visual = trimesh.visual.ColorVisuals(found, vertex_colors=colours)
@@ -125,7 +123,8 @@ class _Cut:
         mouth = _part_around(surface, lid | (normals @ outward > LEVEL), lid)
         mouth = ~_largest_part(surface, ~mouth)  # with the bumps of the lid
         centre, half = object_box(observations)
-        lattice, cell = cube_lattice(centre, half, round(2 * half / cell))
+        cells = round(2 * half / cell)
+        lattice, cell = cube_lattice(centre, half, cells)
         low, high = surface.bounds
         near = np.nonzero(((lattice > low - ABOVE * cell) & (lattice < high + ABOVE * cell)).all(axis=1))[0]
         inside = surface.contains(lattice[near])
@@ -135,7 +134,7 @@ class _Cut:
         open_ = inside | above
         away[near[open_]] = cKDTree(vertices[~mouth]).query(lattice[near[open_]])[0]
         outside[near[above]] = True
-        shape = (round(len(lattice) ** (1 / 3)),) * 3
+        shape = (cells + 1,) * 3
         return cls(surface, away.reshape(shape), outside.reshape(shape), centre - half, cell)
 
     def at(self, thickness: float) -> trimesh.Trimesh | None:
@@ -172,39 +171,49 @@ def _parts(surface: trimesh.Trimesh, chosen: Bool[np.ndarray, " V"]) -> Int[np.n
     return connected_components(links, directed=False)[1]
 
 
-def _of_several(
-    surface: trimesh.Trimesh, chosen: Bool[np.ndarray, " V"], cosines: Float[np.ndarray, "V C"]
-) -> tuple[Int[np.ndarray, " Q"], Float[np.ndarray, "Q C"]]:
-    """Chosen vertices that several views show, and the pixels of each in each view, but for a factor."""
-    rows = np.nonzero(chosen & ((cosines > 0).sum(axis=1) >= AGREE))[0]
-    return rows, vertex_areas(surface)[rows, None] * cosines[rows]
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """Vertices that several views show.
 
+    Attributes:
+        places, normals: shape [Q, 3], [m] and unit vectors.
+        observations: the views.
+        cosines: of `cosines_shown`, shape [Q, C].
+        pixels: of each vertex in each view, but for a factor, shape [Q, C].
+    """
 
-def _colours_disagree(
-    surface: trimesh.Trimesh,
-    chosen: Bool[np.ndarray, " V"],
-    observations: Sequence[Observation],
-    cosines: Float[np.ndarray, "V C"],
-) -> float:
-    """Mean distance of the colours of chosen vertices from their mean, over all pixels that show them."""
-    rows, pixels = _of_several(surface, chosen, cosines)
-    apart = colours_apart(np.asarray(surface.vertices)[rows], observations, cosines[rows])
-    return float((pixels * apart).sum() / pixels.sum()) if len(rows) else np.inf
+    places: Float[np.ndarray, "Q 3"]
+    normals: Float[np.ndarray, "Q 3"]
+    observations: Sequence[Observation]
+    cosines: Float[np.ndarray, "Q C"]
+    pixels: Float[np.ndarray, "Q C"]
 
+    @classmethod
+    def of(
+        cls,
+        surface: trimesh.Trimesh,
+        chosen: Bool[np.ndarray, " V"],
+        observations: Sequence[Observation],
+        cosines: Float[np.ndarray, "V C"],
+    ) -> _Shown:
+        """Those of the chosen ones."""
+        rows = chosen & ((cosines > 0).sum(axis=1) >= AGREE)
+        places, normals = np.asarray(surface.vertices)[rows], np.asarray(surface.vertex_normals)[rows]
+        return cls(places, normals, observations, cosines[rows], vertex_areas(surface)[rows, None] * cosines[rows])
 
-def _patterns_disagree(
-    surface: trimesh.Trimesh,
-    chosen: Bool[np.ndarray, " V"],
-    observations: Sequence[Observation],
-    cosines: Float[np.ndarray, "V C"],
-) -> float:
-    """Share of the pattern of chosen vertices that the views do not have in common, over all pixels that show them."""
-    rows, pixels = _of_several(surface, chosen, cosines)
-    if not len(rows):
-        return np.inf
-    at = (np.asarray(surface.vertices)[rows], np.asarray(surface.vertex_normals)[rows])
-    apart, size = patterns_apart(at, observations, cosines[rows])
-    return float((pixels * apart).sum() / max((pixels * size).sum(), 1e-12))
+    def colours_disagree(self) -> float:
+        """Mean distance of the colours from their mean, over all pixels; infinite if nothing is shown."""
+        if not len(self.places):
+            return np.inf
+        apart = colours_apart(self.places, self.observations, self.cosines)
+        return float((self.pixels * apart).sum() / self.pixels.sum())
+
+    def patterns_disagree(self) -> float:
+        """Share of the pattern that the views do not have in common, over all pixels; infinite if nothing is shown."""
+        if not len(self.places):
+            return np.inf
+        apart, size = patterns_apart((self.places, self.normals), self.observations, self.cosines)
+        return float((self.pixels * apart).sum() / max((self.pixels * size).sum(), 1e-12))
 
 
 def _least(tried: dict[float, float]) -> float:
