@@ -10,16 +10,19 @@ import numpy as np
 from jaxtyping import Float
 
 from inference.refinement.meshes import comparison_mesh
-from inference.refinement.problem import Problem
+from inference.refinement.problem import LEFT, Problem
 from inference.refinement.rigid_drift import with_drift_by, with_drift_limit
-from inference.refinement.stages import RefinementRun
+from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import ConvergenceError
 from physconvex.identify import (
     Fit,
     FitOptions,
     FullModel,
+    RigidDriftObservations,
+    WeightedObservations,
     coarse_mesh,
     fit_full,
+    frame_errors,
     misfit_of,
     roll_out_together,
 )
@@ -47,9 +50,10 @@ def coarse_start(
     half = replace(problem.full(run.memory), twin=few_steps)
     mesh = coarse_mesh(run.capture, few_steps.mesh)
     coarse = half if mesh is few_steps.mesh else replace(half, mesh=mesh)
-    if run.options.drift:
-        problem = _limited(run, problem, half, coarse, reduced)
-    start = _best(run, problem, half, reduced, candidates)
+    other = _beside(problem, half, coarse)
+    if run.options.drift and other is not None:
+        problem = with_drift_limit(run, problem, half, other, reduced)
+    start = _best(run, problem, half, other, reduced, candidates)
     model = coarse if len(mesh.vertices) < _FEW * len(few_steps.mesh.vertices) else half
     seen = with_drift_by(run, problem, model, start, "drift_coarse").seen
 
@@ -65,24 +69,51 @@ def coarse_start(
     return problem, run.fit("coarse", problem.parameters, compute), coarse
 
 
-def _limited(run: RefinementRun, problem: Problem, half: FullModel, coarse: FullModel, reduced: Fit) -> Problem:
-    other = coarse
-    if coarse is half and problem.twin.may_strike:
-        mesh = comparison_mesh(problem.twin)
-        other = half if mesh is None else replace(half, mesh=mesh)
-    return problem if other is half else with_drift_limit(run, problem, half, other, reduced)
+def _beside(problem: Problem, half: FullModel, coarse: FullModel) -> FullModel | None:
+    """The model on another mesh; None if there is none, or no contact, from which on meshes differ."""
+    if not problem.twin.may_strike:
+        return None
+    if coarse is not half:
+        return coarse
+    mesh = comparison_mesh(problem.twin)
+    return None if mesh is None else replace(half, mesh=mesh)
 
 
-def _best(run: RefinementRun, problem: Problem, half: FullModel, reduced: Fit, candidates: Sequence[np.ndarray]) -> Fit:
+def _best(
+    run: RefinementRun,
+    problem: Problem,
+    half: FullModel,
+    other: FullModel | None,
+    reduced: Fit,
+    candidates: Sequence[np.ndarray],
+) -> Fit:
     """The candidate with the full model's smallest misfit: after a rebound, or with locking, the reduced model errs."""
     if len(candidates) < 2:
         return reduced
-    arrays = run.stages.run("start", lambda: {"misfits": misfits_of(problem, half, candidates)})
-    return replace(reduced, values=candidates[int(np.argmin(arrays["misfits"]))])
+
+    def compute() -> Arrays:
+        weighted = problem if other is None else _with_errors(problem, half, other, reduced.values)
+        return {"misfits": misfits_of(weighted, half, candidates)}
+
+    return replace(reduced, values=candidates[int(np.argmin(run.stages.run("start", compute)["misfits"]))])
+
+
+def _with_errors(problem: Problem, model: FullModel, other: FullModel, values: np.ndarray) -> Problem:
+    """The problem with the difference of two meshes by frame, at the largest drift; as it is if one of them fails."""
+    roll_out_together((m, values) for m in (model, other))
+    try:
+        here, there = model.positions(values), other.positions(values)
+    except ConvergenceError:
+        return problem
+    drift = 0.0 if problem.drift_limit is None else problem.drift_limit[1]
+    return replace(problem, errors=LEFT * frame_errors(replace(problem, drift=drift).seen, here, there))
 
 
 def misfits_of(problem: Problem, model: FullModel, candidates: Sequence[np.ndarray]) -> Float[np.ndarray, " C"]:
-    """Misfit of each candidate, infinite if it fails; with drift, minus the log-likelihood at the largest drift."""
+    """Misfit of each candidate, infinite if it fails; with drift, minus the log-likelihood at the largest drift.
+
+    Frames are weighted by the model's errors as in the fits: late after a contact they say little about a material.
+    """
     roll_out_together((model, values) for values in candidates)
     found: list[np.ndarray | None] = []
     for values in candidates:
@@ -96,6 +127,10 @@ def misfits_of(problem: Problem, model: FullModel, candidates: Sequence[np.ndarr
 def _misfit(problem: Problem, positions: np.ndarray | None) -> float:
     if positions is None:
         return np.inf
+    seen = problem.undrifted
+    if problem.errors is not None:
+        seen = WeightedObservations.by_errors(seen, problem.errors)
     if problem.drift_limit is None:
-        return misfit_of(problem.undrifted, positions)
-    return -problem.with_drift_of(problem.drift_limit[1]).log_likelihood(positions)
+        return misfit_of(seen, positions)
+    begin, most = problem.drift_limit
+    return -RigidDriftObservations(seen, begin, 1 / problem.twin.fps, most).log_likelihood(positions)

@@ -32,7 +32,7 @@ from inference.refinement.meshes import comparison_mesh
 from inference.refinement.motion import future_rms, refined_motion
 from inference.refinement.observations import observe_capture, selected
 from inference.refinement.options import RefineOptions
-from inference.refinement.problem import Problem, material_of, moved_inside, started_from, values_of
+from inference.refinement.problem import LEFT, Problem, material_of, moved_inside, started_from, values_of
 from inference.refinement.reduced_search import ReducedSearch, predicted, with_predicted_ratio
 from inference.refinement.result import FittedParameter, Refinement, StageEstimate, row_of
 from inference.refinement.rigid_drift import drift_of, drifted, followed_motion, with_drift
@@ -70,7 +70,6 @@ _WHERE = ("processes", "device", "stop_after")  # settings of where and how far,
 _FRICTION = (0.4, 0.3)  # prior, mean and standard deviation, of a floor whose friction is not stated
 _HEIGHT = "floor_height"
 _OF_A_FLOOR = (_HEIGHT, "friction", "contact_damping")
-_LEFT = 0.5  # of the difference between few and more nodes: remaining error of more nodes
 
 
 def refine(
@@ -364,7 +363,7 @@ def _with_errors(run: RefinementRun, problem: Problem, other: FullModel, start: 
 
     def compute() -> Arrays:
         here, there = problem.full(run.memory).begun(start.values), other.positions(start.values)
-        return {"errors": _LEFT * frame_errors(problem.seen, here, there)}
+        return {"errors": LEFT * frame_errors(problem.seen, here, there)}
 
     try:
         return replace(problem, errors=run.stages.run("frame_errors", compute)["errors"])

@@ -26,6 +26,7 @@ from physconvex.identify import (
 from physconvex.mesh import TetMesh
 from physconvex.reduced import parameter_values
 
+LEFT = 0.5  # of the difference between few and more nodes: remaining error of more nodes
 HELD = 1e-3  # standard deviation of the prior of a value that is held, in typical steps
 
 
@@ -71,12 +72,10 @@ class Problem:
     @cached_property
     def seen(self) -> Observations:
         """The observations, all nuisances eliminated."""
-        return self.with_drift_of(self.drift) if self.drift else self.undrifted
-
-    def with_drift_of(self, sigma: float) -> RigidDriftObservations:
-        """The observations, with rigid drift of that deviation [m/s] also eliminated."""
+        if not self.drift:
+            return self.undrifted
         assert self.drift_limit is not None
-        return RigidDriftObservations(self.undrifted, self.drift_limit[0], 1 / self.twin.fps, sigma)
+        return RigidDriftObservations(self.undrifted, self.drift_limit[0], 1 / self.twin.fps, self.drift)
 
     @property
     def weighted(self) -> Observations:

@@ -159,7 +159,7 @@ class RigidDriftObservations(WrappedObservations):
 
         A residual depends on kicks only by the six rigid motions of its own frame, unless nuisances couple frames.
         """
-        alone = not isinstance(seen, MarginalObservations)
+        alone = not _couples_frames(seen)
         fields = kicks.moves if alone else kicks.fields()
         both = fields if tangents is None else np.concatenate([tangents, fields], axis=1)
         residuals, jacobian = seen.linearise(moved, both)
@@ -212,6 +212,13 @@ class RigidDriftObservations(WrappedObservations):
                 slopes = None
             last = size
         return found
+
+
+def _couples_frames(seen: Observations) -> bool:
+    """Whether residuals of a frame depend on the others: nuisances of camera and clock are eliminated."""
+    if isinstance(seen, MarginalObservations):
+        return True
+    return isinstance(seen, WrappedObservations) and _couples_frames(seen.seen)
 
 
 def _far_seeing(seen: Observations) -> tuple[Observations, np.ndarray] | None:

@@ -1,5 +1,7 @@
 """Rigid drift after a contact: what it does to residuals, and what becomes of a fit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from physconvex.identify import (
     Nuisance,
     RigidDriftObservations,
     StackedObservations,
+    WeightedObservations,
     default_parameter,
     first_contact,
     fit,
@@ -120,6 +123,9 @@ def test_six_motions_in_each_frame_say_what_all_kicks_do(rng):
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(other).max())
     assert short.log_likelihood(x) == pytest.approx(full.log_likelihood(x), rel=1e-9)
     np.testing.assert_allclose(short.drift(x), full.drift(x), atol=1e-9)
+    mixing = replace(full, seen=MarginalObservations(seen, Nuisance(time_offset=0.01), INTERVAL))
+    weighted = replace(mixing, seen=WeightedObservations.by_errors(mixing.seen, np.zeros(FRAMES)))
+    assert weighted.log_likelihood(x) == pytest.approx(mixing.log_likelihood(x), rel=1e-9)
 
 
 def test_where_the_model_follows_no_drift_is_likely(rng):

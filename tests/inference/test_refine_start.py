@@ -15,8 +15,8 @@ from inference.refinement.problem import Problem, moved_inside
 from inference.refinement.reduced_search import predicted, scan_range, with_predicted_ratio
 from inference.refinement.stages import RefinementRun, Stages, arrays_of_scan
 from physconvex import InputError
-from physconvex.identify import Candidate, Fit, default_parameter
-from physconvex.io import Capture, look_at
+from physconvex.identify import Candidate, Fit, MarkerObservations, default_parameter
+from physconvex.io import Capture, Workers, look_at
 
 SIZE = 0.5  # m
 CAMERA = look_at((0, -1, 0), (0, 0, 0), width=32, height=32, vertical_field_of_view=0.5)
@@ -133,8 +133,35 @@ def test_the_first_candidate_is_begun_with_if_it_is_the_best(monkeypatch):
     values = (np.array([6.0, 0.4]), np.array([5.0, 0.3]))
     monkeypatch.setattr(coarse_start, "misfits_of", lambda problem, model, candidates: np.array([1.0, 2.0]))
     run = RefinementRun(None)
-    start = coarse_start._best(run, None, None, fit_at(*values[1]), values)
+    start = coarse_start._best(run, None, None, None, fit_at(*values[1]), values)
     assert np.array_equal(start.values, values[0])
+
+
+@pytest.mark.wrong_types
+@pytest.mark.parametrize("limit", [None, (2, 0.01)])
+def test_late_frames_do_not_decide_between_starts(monkeypatch, limit):
+    """A mug's search went on from a modulus half a decade off, which was nearer late after the rebound only."""
+    rng, sigma = np.random.default_rng(5), 1e-3
+    rest, late = rng.uniform(size=(20, 3)), np.arange(8) >= 6
+    bent = rng.standard_normal((20, 3))
+    at = {
+        "near early": rest + (20 * sigma * late)[:, None, None] * bent,
+        "near late": rest + np.where(late, 0.5 * sigma, 3 * sigma)[:, None, None] * bent,
+    }
+    still = np.broadcast_to(rest, (8, 20, 3))
+    seen = MarkerObservations(rest, still, np.full((8, 20), sigma))
+    twin, observed = SimpleNamespace(fps=24.0), SimpleNamespace(observations=seen)
+    problem = Problem(twin, (), observed, drift_limit=limit)  # type: ignore[arg-type]
+    monkeypatch.setattr(coarse_start, "roll_out_together", list)
+    values = [np.array([0.0]), np.array([1.0])]
+    memory = SimpleNamespace(workers=Workers())
+    half = SimpleNamespace(positions=lambda v: list(at.values())[int(v[0])], memory=memory)
+    other = SimpleNamespace(positions=lambda v: at["near early"] + (80 * sigma * late)[:, None, None] * bent)
+
+    def best(other):
+        return coarse_start._best(RefinementRun(None), problem, half, other, fit_at(*values[0]), values).values
+
+    assert best(None) == values[1] and best(other) == values[0]
 
 
 def test_options_are_checked():
