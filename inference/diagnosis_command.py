@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from physconvex.gap import GapOptions
 from physconvex.io import command, load_capture
+
+if TYPE_CHECKING:
+    from inference.reconstruction import Reconstruction
+    from physconvex.gap import GapReport
+    from physconvex.io import Capture
 
 
 @command
@@ -23,7 +29,10 @@ def diagnose_command(
     *,
     second_take: Annotated[
         Path | None,
-        typer.Option(help="Second capture of the same body; the reduction of the gap is reported on it too."),
+        typer.Option(
+            help="Second capture of the same body, its rest geometry in it or reconstructed too; the reduction of the "
+            "gap is reported on it as well."
+        ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the report.")] = Path("diagnosis"),
     body: Annotated[
@@ -46,7 +55,7 @@ def diagnose_command(
     """
     from tqdm import tqdm
 
-    from inference.rest_geometry import with_rest_geometry
+    from inference.rest_geometry import rest_geometry_of
     from physconvex.gap import diagnose
 
     with tqdm(total=None, dynamic_ncols=True, disable=no_progress or as_json or not sys.stderr.isatty()) as bar:
@@ -55,11 +64,16 @@ def diagnose_command(
             bar.set_description(text)
             bar.update()
 
-        source = with_rest_geometry(load_capture(capture), body=body, out=out, on_stage=lambda name, _: show(name))
+        def of(folder: Path, results: Path, body: Path | None = None) -> tuple[Capture, Reconstruction | None]:
+            return rest_geometry_of(load_capture(folder), body=body, out=results, on_stage=lambda name, _: show(name))
+
+        source, made = of(capture, out, body)
+        again = None if second_take is None else of(second_take, out / "second_take")[0]
         report = diagnose(
-            source, second_take=second_take, effects=_names(effects), without=_names(without) or (), options=options,
+            source, second_take=again, effects=_names(effects), without=_names(without) or (), options=options,
             on_progress=show,
         )  # fmt: skip
+    report = _with_error_of_body(report, made)
     report.save(out)
     if as_json:
         typer.echo(json.dumps(report.to_json()))
@@ -73,6 +87,19 @@ def diagnose_command(
         f"(floor {1e3 * main.noise_floor:.3g} mm)."
     )
     typer.echo(f"Report: {out / 'report.html'}")
+
+
+def _with_error_of_body(report: GapReport, made: Reconstruction | None) -> GapReport:
+    """The report, with what is known of the error of a reconstructed body."""
+    if made is None:
+        return report
+    told = list(made.warnings)
+    if made.error is not None:
+        told.append(
+            f"The body is reconstructed from pictures. Its surface is {1e3 * made.error.deviation:.2g} mm off (rms), "
+            "which no interval and no probability includes."
+        )
+    return replace(report, verdict=replace(report.verdict, caveats=(*report.verdict.caveats, *told)))
 
 
 def _names(text: str | None) -> list[str] | None:

@@ -216,7 +216,7 @@ def reconstruct(
     if folder is not None:
         finished = _prepared(folder, claim, redo=redo)
         if finished is not None:
-            return _read(folder, finished, config, views)
+            return _with_warnings_told(_read(folder, finished, config, views))
     state = None if folder is None else load_fit(folder / STATE, claim=claim)
     mesh = source.mesh()
     kind = start_kind(config.start, mesh=mesh is not None, points=given is not None)
@@ -231,8 +231,6 @@ def reconstruct(
     field = _filled(field, state, body or body_surface(kind, views.training, mesh), config)
     inside = _on_contested(error) if hollow is None else _on_hollow(hollow)
     warnings = (*warnings_on_views(views.training), *_on_unseen(body, error, views), *inside)
-    for warning in warnings:
-        _LOG.warning("reconstruct: %s", warning)
     trained, tested = (score_views(field.to(place), part) for part in (views.training, views.held_out))
     training, held_out = (tuple(one for one, _ in part) for part in (trained, tested))
     result = Reconstruction(
@@ -243,7 +241,14 @@ def reconstruct(
     if folder is not None:
         pictures = [image for _, image in (*trained, *tested)]
         _write(result, folder, views, pictures, claim, turntable=turntable, place=place)
-    return result
+    return _with_warnings_told(result)
+
+
+def _with_warnings_told(found: Reconstruction) -> Reconstruction:
+    """It as it is. Its warnings are told each time that it is used."""
+    for warning in found.warnings:
+        _LOG.warning("reconstruct: %s", warning)
+    return found
 
 
 def _filled(

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from inference import ReconstructOptions, reconstruct, rest_geometry, with_rest_geometry
+from inference.diagnosis_command import diagnose_command
 from inference.simulation_command import simulate_command
 from physconvex import InputError
 from physconvex.convex import ConvexField, read_ply
@@ -64,6 +67,51 @@ def test_pictures_of_frame_0_give_a_closed_body_once(bare, tmp_path):
     written = trimesh.load(tmp_path / "reconstruction" / "body.glb", force="mesh", process=False)
     assert written.extents == pytest.approx(body.extents[[0, 2, 1]], rel=1e-3)
     assert min(written.visual.material.baseColorTexture.size) >= 1024
+
+
+@dataclass(frozen=True)
+class _Verdict:
+    sentence: str
+    caveats: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Report:
+    """Of a diagnosis, as far as the command needs it."""
+
+    verdict: _Verdict
+    how_far: tuple[SimpleNamespace, ...]
+
+    def save(self, folder: Path) -> None:
+        (folder / "caveats.txt").write_text("\n".join(self.verdict.caveats))
+
+
+@pytest.mark.slow
+def test_a_diagnosis_tells_the_error_of_the_body_from_pictures(tmp_path, monkeypatch, caplog):
+    few = written(tmp_path / "few", ring(8, size=96)[:5], speckled_ball())
+    diagnosed = []
+
+    def diagnose(source, *, second_take, **how):
+        diagnosed.extend((source, second_take))
+        gap = SimpleNamespace(data="the rest", gap_before=0.1, gap_after=0.1, noise_floor=0.1)
+        return _Report(_Verdict("No effect.", ("A limit.",)), (gap,))
+
+    monkeypatch.setattr("physconvex.gap.diagnosis.diagnose", diagnose)
+    monkeypatch.setattr(
+        rest_geometry, "reconstruct", lambda capture, *, out, options: reconstruct(capture, out=out, options=QUICK)
+    )
+    app = Typer()
+    app.command()(diagnose_command)
+    for _ in range(2):  # at last the bodies are read from disk
+        caplog.clear()
+        arguments = [str(few), "--second-take", str(few), "--out", str(tmp_path), "--no-progress"]
+        ended = CliRunner().invoke(app, arguments, catch_exceptions=False)
+        assert ended.exit_code == 0 and re.search(r"Its surface is [\d.]+ mm off \(rms\)", ended.stdout)
+        first, unseen, off = (tmp_path / "caveats.txt").read_text().splitlines()
+        assert first == "A limit." and "no camera sees" in unseen and "which no interval" in off
+        assert [unseen in record.getMessage() for record in caplog.records] == [True, True]
+    assert len(diagnosed) == 4 and all(capture.mesh().is_watertight for capture in diagnosed)
+    assert (tmp_path / "second_take" / "reconstruction" / "body.ply").is_file()
 
 
 @pytest.mark.slow
