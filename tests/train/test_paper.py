@@ -147,15 +147,17 @@ def test_a_benchmark_shows_images_alone_and_keeps_truth_apart(benchmark):
 
 
 @pytest.mark.slow
-def test_a_capture_holds_as_many_videos_as_are_observed(benchmark, tmp_path):
+def test_a_capture_holds_as_many_videos_as_are_observed_and_changes_can_be_left_out(benchmark, tmp_path):
     from data_gen import BenchmarkOptions
     from data_gen.benchmark import generate_benchmark
 
     sizes = BenchmarkOptions(
         count=1, size=64, views=4, observed_views=2, frames=2, observed_frames=2, nodes=60, steps_per_frame=1,
-        checked=False,
+        checked=False, changed=False,
     )  # fmt: skip
     generate_benchmark(benchmark.parent / "objects", tmp_path, sizes)
+    with np.load(tmp_path / "truth" / "ball" / "points.npz") as arrays:
+        assert set(arrays) == {"rest", "positions"}
     capture = load_capture(tmp_path / "captures" / "ball")
     assert [camera.name for camera in capture.pictured] == ["view0", "view1", "view2", "view3"]
     assert [camera.name for camera in capture.recorded] == ["view0", "view2"]
