@@ -39,10 +39,7 @@ from physconvex.numerics import one_torch_thread
 from physconvex.reduced import NeuralWeights, NodalWeights, PredictedField, WeightField, predicted_weights
 
 CONVEX = "convex twin"
-# compared pixels across the object, coarse to fine
-_LEVELS = {pixels: FitOptions(max_iterations=n, relative_tolerance=1e-3) for pixels, n in ((24, 8), (48, 5), (96, 4))}
-_FOLLOWED = _LEVELS[24]  # without pixels
-_TURN = FitOptions(max_iterations=4, relative_tolerance=1e-3)  # after the weights are fitted
+_FIRST, _FINER = (FitOptions(max_iterations=n, relative_tolerance=1e-3) for n in (8, 5))  # also after fits of weights
 _DRIFTS = (0.01, 0.03, 0.1, 0.3)  # of the speed at the contact: deviations of each later frame's change of velocity
 _ENOUGH = 1.5  # the smallest drift is taken whose least misfit is at most so many times that of any
 _MODULUS = "log10_youngs_modulus"
@@ -106,14 +103,16 @@ def _fitted(
     problem, found = _begun(run, replace(problem, twin=_twin(run, problem, start, rest.field)), start, candidates)
     followed = problem.observed
     if not run.options.colours:
-        found = run.fit("convex_followed", problem.parameters, partial(_search, problem, found, _FOLLOWED))
-    for pixels, options in _LEVELS.items() if run.options.colours else ():
+        found = run.fit("convex_followed", problem.parameters, partial(_search, problem, found, _FIRST))
+    options = _FIRST
+    for pixels in run.options.pixels if run.options.colours else ():
         problem = replace(problem, observed=_beside(followed, _photometric(run, cameras, rest.field, pixels)))
         problem = _seen_in(problem, found)
         found = run.fit(f"convex_{pixels}", problem.parameters, partial(_search, problem, found, options))
+        options = _FINER
     for turn in range(run.options.fit_weights):
         problem = _with_fitted_weights(run, problem, found, f"convex_weights_{turn}")
-        found = run.fit(f"convex_turn_{turn}", problem.parameters, partial(_search, problem, found, _TURN))
+        found = run.fit(f"convex_turn_{turn}", problem.parameters, partial(_search, problem, found, _FINER))
     return ConvexFit(problem, found, ratio_sigma)
 
 

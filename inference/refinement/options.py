@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -91,6 +92,8 @@ class RefineOptions(Options):
     fit_weights: Annotated[int, Field(ge=0), _MODEL] = 0
     """How often the network of the weights (basis neural) is fitted to the finest images, E and ν after it; held near
     the energy that it was trained with."""
+    pixels: Annotated[tuple[int, ...], _MODEL] = (24,)
+    """Compared pixels across the object in the convex twin's fit; repeatable, coarse to fine."""
     convex: Annotated[bool | None, _MODEL] = None
     """Fit the convex twin to all pixels of the videos; its values are a start of the correction. Default: if the body
     is reconstructed from pictures."""
@@ -142,6 +145,13 @@ class RefineOptions(Options):
                 "network, or 0"
             )
         return self
+
+    @field_validator("pixels")
+    @classmethod
+    def _coarse_to_fine(cls, pixels: tuple[int, ...]) -> tuple[int, ...]:
+        if not pixels or pixels[0] < 8 or any(b <= a for a, b in pairwise(pixels)):
+            raise InputError(f"pixels: got {pixels}; expected one or more ascending numbers, from 8 on")
+        return pixels
 
     @field_validator("fixed")
     @classmethod

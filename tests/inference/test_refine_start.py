@@ -170,6 +170,9 @@ def test_options_are_checked():
         ({"steps_per_frame": 0}, "at least 1"),
         ({"processes": 0}, "processes: got 0"),
         ({"fixed": {"poisson_ratio": None}}, "needs a value"),
+        ({"pixels": ()}, "pixels: got .*one or more ascending numbers, from 8 on"),
+        ({"pixels": (4, 24)}, "from 8 on"),
+        ({"pixels": (48, 24)}, "ascending"),
     ):
         with pytest.raises(InputError, match=message):
             RefineOptions(**bad)

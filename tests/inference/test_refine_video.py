@@ -126,7 +126,7 @@ def test_the_convex_twin_alone_tells_the_material_from_the_pixels(folder, tmp_pa
     stages = []
     start = {"log10_youngs_modulus": 4.5, "poisson_ratio": 0.3}
     options = RefineOptions(initial=start, **FEW | {"field_budget": 600, "field_steps": 40}, convex=True)
-    options = options.replace(stop_after="convex")
+    options = options.replace(stop_after="convex", pixels=(24, 48, 96))
     found = refine(folder, out=tmp_path, options=options, on_stage=lambda *stage: stages.append(stage))
     names = [
         "points",
@@ -168,7 +168,7 @@ def test_the_convex_twin_alone_tells_the_material_from_the_pixels(folder, tmp_pa
 
 @pytest.mark.slow
 def test_the_network_of_the_weights_is_fitted_to_the_pixels(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("inference.refinement.convex_stage._LEVELS", {24: FitOptions(max_iterations=3)})
+    monkeypatch.setattr("inference.refinement.convex_stage._FIRST", FitOptions(max_iterations=3))
     start = {"log10_youngs_modulus": 4.4, "poisson_ratio": 0.35}
     options = RefineOptions(initial=start, **FEW, stop_after="convex", basis="neural", fit_weights=1)
     stages = []
