@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from inference.refinement.convex_stage import ConvexFit
 from inference.refinement.meshes import comparison_mesh, is_of_capture
+from inference.refinement.problem import HELD
 from inference.refinement.result import FittedParameter, interval_of, unit_of
 from inference.refinement.stages import Arrays, RefinementRun, arrays_of_fit, fit_of
 from physconvex import ConvergenceError
@@ -81,10 +82,12 @@ def fitted_parameters(
 
 
 def against_priors(estimates: Sequence[FittedParameter]) -> list[str]:
-    """A note on each value that lies far from its prior."""
+    """A note on each value that lies far from its prior, but for those that a narrow one holds."""
     notes = []
     for one in estimates:
         mean, sigma = one.prior or (one.value, 1.0)
+        if sigma <= HELD * default_parameter(one.name).step:
+            continue
         if (away := abs(one.value - mean) / sigma) > _AGAINST:
             notes.append(
                 f"{one.name} is {one.value:.3g} {unit_of(one.name)}, {away:.0f} standard deviations from its prior "

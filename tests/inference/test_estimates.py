@@ -179,3 +179,5 @@ def test_a_value_far_from_its_prior_is_told():
     assert estimates.against_priors([near, replace(far, prior=None)]) == []
     (told,) = estimates.against_priors([near, far])
     assert told.startswith("floor_height is -0.086 m, 8 standard deviations from its prior (0 ± 0.011): ")
+    held = replace(near, name="poisson_ratio", value=0.351, prior=(0.3505, 1e-4))  # as the network's is
+    assert estimates.against_priors([held]) == []
