@@ -37,7 +37,7 @@ _RATIO = "poisson_ratio"
 _AGAINST = 3.0  # standard deviations of its prior, from which on an estimate is told
 # of twenty elastic weights: rms error of E on reconstructed bodies whose video the twin follows [decades]
 # (docs/results/paper_images.md); largest bias of ν against the full model (benchmarks/reduced_accuracy.py)
-_BY_REDUCTION = {"log10_youngs_modulus": 0.16, "poisson_ratio": 0.19}
+_BY_REDUCTION = {"log10_youngs_modulus": 0.14, "poisson_ratio": 0.19}
 
 
 def fitted_parameters(
