@@ -55,9 +55,6 @@ def refined_motion(run: RefinementRun, full: FullModel, found: Fit, *, mesh: Tet
     """
     capture, options = run.capture, run.options
     twin = full.twin
-    vertices, faces = twin.surface
-    tracks = capture.tracks()
-    markers = np.zeros((0, 3)) if tracks is None else tracks.rest
     body = mesh if options.correction and mesh is not None else twin.mesh
 
     fitted, nodes = twin.with_values(found.names, found.values), twin.mesh.vertices
@@ -77,12 +74,12 @@ def refined_motion(run: RefinementRun, full: FullModel, found: Fit, *, mesh: Tet
         return {"nodes": moved, "handles": moving.handles(), "weights": _weights(nearer), "gap": gap}
 
     arrays = run.stages.run("motion" if options.stop_after is None else f"{options.stop_after}_motion", compute)
-    moved = Embedding.of_points(body, np.concatenate([vertices, markers])).apply(arrays["nodes"])
+    vertices, markers = shown(capture, twin, body, arrays["nodes"])
     return RefinedMotion(
         times=capture.times,
-        vertices=moved[:, : len(vertices)],
-        faces=faces,
-        markers=moved[:, len(vertices) :],
+        vertices=vertices,
+        faces=twin.surface[1],
+        markers=markers,
         handles=arrays["handles"],
         weight_points=nodes,
         weights=arrays["weights"],
@@ -91,6 +88,16 @@ def refined_motion(run: RefinementRun, full: FullModel, found: Fit, *, mesh: Tet
         nodes=arrays["nodes"],
         reduced_gap=tuple(map(float, arrays["gap"])),
     )
+
+
+def shown(
+    capture: Capture, twin: Twin, mesh: TetMesh, nodes: Float[np.ndarray, "T K 3"]
+) -> tuple[Float[np.ndarray, "T V 3"], Float[np.ndarray, "T P 3"]]:
+    """Positions of the surface's vertices and of the tracked points in a moved mesh [m]."""
+    vertices, tracks = twin.surface[0], capture.tracks()
+    markers = np.zeros((0, 3)) if tracks is None else tracks.rest
+    moved = Embedding.of_points(mesh, np.concatenate([vertices, markers])).apply(nodes)
+    return moved[:, : len(vertices)], moved[:, len(vertices) :]
 
 
 def _weights(twin: Twin) -> np.ndarray:

@@ -264,7 +264,7 @@ def _result(
         residual_rms=rms,
         nuisances=_nuisances(problem, found),
         drift=drift,
-        followed=followed_motion(problem, motion),
+        followed=followed_motion(run, problem, full, found, motion),
         appearance=appearance,
         frame_errors=told.frame_errors,
         future_rms=future_rms(run.capture, motion),

@@ -209,7 +209,8 @@ class Refinement:
         nuisances: camera pose and time offset, if they are free, by name and unit.
         appearance: the object as a convex field that moves with the body; None without one.
         drift: rigid drift of the recording from the model after a contact; None if none is likely.
-        followed: the motion with that drift, as in the recording (its handles are the model's).
+        followed: the motion with that drift, as in the recording; after it the full model from its last state there
+            (its handles are the model's).
         reconstruction: of the body; None if its geometry is given.
         stages: E and ν after each stage; the last entry is the result.
     """

@@ -8,10 +8,11 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import JsonValue
 
-from inference.refinement.motion import RefinedMotion
+from inference.refinement.motion import RefinedMotion, shown
 from inference.refinement.problem import Problem
 from inference.refinement.stages import RefinementRun
 from physconvex import ConvergenceError
+from physconvex.dynamics import simulate
 from physconvex.identify import (
     Fit,
     FullModel,
@@ -22,6 +23,7 @@ from physconvex.identify import (
     roll_out_together,
 )
 from physconvex.mesh import Embedding
+from physconvex.numerics import best_rotation
 
 _LIMIT = 2.0  # times the difference of two meshes
 _TOLD = 0.01  # of the size: least drift that is reported to the user
@@ -132,15 +134,59 @@ def drifted(problem: Problem, found: Fit) -> Float[np.ndarray, "T P 3"]:
     return np.asarray(found.positions + drift)
 
 
-def followed_motion(problem: Problem, motion: RefinedMotion) -> RefinedMotion:
-    """The motion with the rigid drift added, as in the recording; beyond its end the drift continues."""
+def followed_motion(
+    run: RefinementRun, problem: Problem, full: FullModel, found: Fit, motion: RefinedMotion
+) -> RefinedMotion:
+    """The motion with the rigid drift added, as in the recording.
+
+    Beyond the observed frames the full model goes on from the state in which the recording leaves the body; if that
+    fails, or with the reduced model, the drift goes on as it is.
+
+    Args:
+        run: the refinement.
+        problem: the fit's problem.
+        full: the full model, on any mesh.
+        found: the fit.
+        motion: of the fit.
+    """
     seen = problem.seen
     if not isinstance(seen, RigidDriftObservations):
         return motion
-    points = Embedding.of_points(motion.mesh, seen.points).apply(motion.nodes)
+    embedding, observed = Embedding.of_points(motion.mesh, seen.points), problem.frames
+    nodes = seen.carried(embedding.apply(motion.nodes), motion.nodes)
+    if motion.model == "full" and observed < len(nodes):
+        past = motion.nodes[:observed]
+        drift = seen.drift_velocity(embedding.apply(past), past)
+        model = replace(full, mesh=motion.mesh, points=motion.mesh.vertices)
 
-    def carried(others: np.ndarray) -> np.ndarray:
-        return seen.carried(points, others) if others.shape[1] else others
+        def compute() -> dict[str, np.ndarray]:
+            return {"nodes": _continued(model, found.values, nodes[observed - 1], drift, len(nodes) - observed + 1)}
 
-    nodes, vertices, markers = map(carried, (motion.nodes, motion.vertices, motion.markers))
+        try:
+            nodes = np.concatenate([nodes[:observed], run.stages.run("followed", compute)["nodes"][1:]])
+        except ConvergenceError as error:
+            run.warnings.append(f"Beyond the observed frames the followed motion drifts on without a model: {error}.")
+    vertices, markers = shown(run.capture, full.twin, motion.mesh, nodes)
     return replace(motion, nodes=nodes, vertices=vertices, markers=markers)
+
+
+def _continued(
+    model: FullModel, values: np.ndarray, nodes: Float[np.ndarray, "V 3"], drift: Float[np.ndarray, "V 3"], frames: int
+) -> Float[np.ndarray, "T V 3"]:
+    """Positions of the nodes [m] from the last frame of a model on, its state moved rigidly to where it is seen.
+
+    Args:
+        model: its last frame is the one.
+        values: of its parameters.
+        nodes: seen in that frame [m].
+        drift: velocity of the nodes beside the model's [m/s].
+        frames: that one included.
+    """
+    case = model.roll_out(values)
+    run = simulate(case.scene, case.timing)
+    last, velocities = run.positions[-1], run.velocities[-1]
+    turn = best_rotation(last, nodes)
+    moved = nodes.mean(axis=0) + (last - last.mean(axis=0)) @ turn.T
+    still = {"initial_orientation": (0.0, 0.0, 0.0), "initial_positions": moved}
+    scene = replace(case.scene, **still, initial_velocities=velocities @ turn.T + drift)
+    return simulate(scene, replace(case.timing, frames=frames)).positions

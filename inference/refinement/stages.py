@@ -52,6 +52,7 @@ _IN_WORDS = {  # of NAME, and of NAME_… unless that has its own
     "model_error": "finer model, for the error that is left",
     "geometry_error": "displaced bodies, for the error of the reconstruction",
     "motion": "predicting all frames",
+    "followed": "going on from where the body is seen last",
 }
 
 

@@ -88,6 +88,7 @@ class Scene(World):
         body: the elastic body.
         node_pins: nodes with prescribed motion, instead of `pins`, which must lie at nodes.
         initial_positions: state at t = 0 [m], shape [V, 3]; the rest state unless given.
+        initial_velocities: of the nodes at t = 0 [m/s], shape [V, 3], in place of the rigid motion.
         contact_points: points of the surface at which obstacles act, instead of the boundary's nodes.
 
     Raises:
@@ -97,13 +98,16 @@ class Scene(World):
     body: ElasticBody = field(kw_only=False)
     node_pins: NodePins | None = field(default=None, kw_only=True)
     initial_positions: Float[np.ndarray, "V 3"] | None = field(default=None, kw_only=True)
+    initial_velocities: Float[np.ndarray, "V 3"] | None = field(default=None, kw_only=True)
     contact_points: SurfacePoints | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         shape = self.body.mesh.vertices.shape
-        if self.initial_positions is not None and np.shape(self.initial_positions) != shape:
-            raise InputError(f"initial_positions: got shape {np.shape(self.initial_positions)}; expected {shape}")
+        for name in ("initial_positions", "initial_velocities"):
+            given = getattr(self, name)
+            if given is not None and np.shape(given) != shape:
+                raise InputError(f"{name}: got shape {np.shape(given)}; expected {shape}")
         if self.hanging is not None and self.contact_points is not None:
             raise InputError("hanging: got a load and contact_points; expected contact at the nodes where a load hangs")
         if self.pins is not None and self.node_pins is not None:
@@ -161,11 +165,14 @@ class Scene(World):
         return center + (x - center) @ rotation_matrix(vector).T
 
     def start_velocities(self) -> Float[np.ndarray, "V 3"]:
-        """Velocities at t = 0 [m/s]: rigid motion about the centre of mass, zero at pinned nodes."""
-        masses = self.body.node_masses
-        center = masses @ self.start / masses.sum()
-        spin = np.cross(np.asarray(self.initial_angular_velocity, dtype=np.float64), self.start - center)
-        velocities = np.asarray(self.initial_velocity, dtype=np.float64) + spin
+        """Velocities at t = 0 [m/s]: as given, or rigid motion about the centre of mass; zero at pinned nodes."""
+        if self.initial_velocities is not None:
+            velocities = np.array(self.initial_velocities, dtype=np.float64)
+        else:
+            masses = self.body.node_masses
+            center = masses @ self.start / masses.sum()
+            spin = np.cross(np.asarray(self.initial_angular_velocity, dtype=np.float64), self.start - center)
+            velocities = np.asarray(self.initial_velocity, dtype=np.float64) + spin
         if self.held is not None:
             velocities[self.held.nodes] = 0.0
         return velocities

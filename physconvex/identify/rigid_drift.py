@@ -134,6 +134,16 @@ class RigidDriftObservations(WrappedObservations):
         fitted = self._fitted(seen, self._kicks(seen))
         return self._kicks(positions, others, kicked=count).moved(others, fitted)
 
+    def drift_velocity(self, positions: Positions, others: Float[np.ndarray, "T V 3"]) -> Float[np.ndarray, "V 3"]:
+        """Velocity of the drift of other points in the last observed frame [m/s].
+
+        Args:
+            positions: the model's positions of the observed points [m].
+            others: the model's positions of the other points, in the same frames [m].
+        """
+        kicks = self._fitted(positions, self._kicks(positions)).reshape(-1, 6).sum(axis=0)
+        return self.sigma * np.einsum("a,avi->vi", kicks, self._kicks(positions, others).moves[-1])
+
     def log_likelihood(self, positions: Positions) -> float:
         """Log-likelihood of the residuals, the kicks integrated out, up to a constant; Huber's loss."""
         kicks = self._kicks(positions)

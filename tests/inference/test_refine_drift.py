@@ -1,18 +1,21 @@
 """A box whose rebound is another one than the model's: what `refine` makes of it."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from inference import RefineOptions, refine
 from inference.refinement.convex_stage import least_drift
+from inference.refinement.rigid_drift import _continued
 from physconvex.fem import SurfacePoints
 from physconvex.identify import FullModel, TwinOptions, base_twin
 from physconvex.io import Capture, Floor, Tracks, load_capture, save_capture
 from physconvex.mesh import TetMesh, box_mesh
 
-FRAMES, NOISE, FPS = 8, 2e-4, 48.0
+FRAMES, AHEAD, NOISE, FPS = 8, 3, 2e-4, 48.0
 NAMES, TRUTH = ("log10_youngs_modulus", "poisson_ratio"), np.array([4.3, 0.35])
 OPTIONS = RefineOptions(
     weights=3, steps_per_frame=4, model_error=False, field=False,
@@ -32,14 +35,15 @@ def captures(tmp_path_factory):
 
     def save(name, positions):
         still = {"initial_velocity": np.array([0.0, 0.0, -0.6]), "initial_angular_velocity": np.zeros(3)}
-        capture = Capture(root / name, FPS, FRAMES, FRAMES, floor=floor, **still)
-        save_capture(capture, tets=tets, tracks=Tracks(points, positions, np.full((FRAMES, 12), NOISE)))
+        capture = Capture(root / name, FPS, len(positions), FRAMES, floor=floor, **still)
+        save_capture(capture, tets=tets, tracks=Tracks(points, positions, np.full(positions.shape[:2], NOISE)))
         return load_capture(root / name)
 
-    twin = base_twin(save("plain", np.zeros((FRAMES, 12, 3))), TwinOptions(weights=3, steps_per_frame=4))
+    frames = FRAMES + AHEAD
+    twin = base_twin(save("plain", np.zeros((frames, 12, 3))), TwinOptions(weights=3, steps_per_frame=4))
     surface = SurfacePoints.of_triangles(*tets.surface)
-    moved = FullModel(twin, NAMES, points, FRAMES, surface=surface).positions(TRUTH)
-    since = np.clip(np.arange(FRAMES) / FPS - 1.5 / FPS, 0, None)[:, None, None]
+    moved = FullModel(twin, NAMES, points, frames, surface=surface).positions(TRUTH)
+    since = np.clip(np.arange(frames) / FPS - 1.5 / FPS, 0, None)[:, None, None]
     arms = moved - moved.mean(axis=1, keepdims=True)
     flung = moved + since * (np.array([0.15, -0.1, 0.1]) + np.cross([0.4, 0.6, -0.3], arms))
     noise = rng.normal(scale=NOISE, size=moved.shape)
@@ -58,6 +62,29 @@ def test_the_material_is_found_although_the_rebound_is_another_one(captures):
     told = json.loads(json.dumps(found.to_json()))["rigid_drift"]
     assert told["first_frame"] in (1, 2) and max(told["rms_m"]) == pytest.approx(0.02, rel=0.4)
     assert any("drifts from the model as a rigid body" in sentence for sentence in found.warnings)
+    ahead = load_capture(captures[1]).tracks().positions[FRAMES:]
+    followed, alone = (np.linalg.norm(m.markers[FRAMES:] - ahead, axis=-1) for m in (found.followed, found.motion))
+    assert followed.max() < 0.25 * alone.min()
+
+
+def test_a_model_goes_on_from_where_the_body_is_seen(tmp_path):
+    """A box, turned about the vertical and set aside, lands on the flat floor as it would have, there."""
+    box, begin, more = box_mesh((0.3, 0.2, 0.1), (2, 1, 1), order=1), 4, 5
+    tets = TetMesh(box.vertices + np.array([0, 0, 0.02]), box.tets)
+    still = {"initial_velocity": np.zeros(3), "initial_angular_velocity": np.array([1.0, 0.5, 0.0])}
+    floor = Floor(np.zeros(3), np.array([0.0, 0.0, 1.0]), friction=0.3)
+    save_capture(Capture(tmp_path / "box", FPS, begin, begin, floor=floor, **still), tets=tets)
+    twin = base_twin(load_capture(tmp_path / "box"), TwinOptions(weights=3, steps_per_frame=16))
+    model = FullModel(twin, NAMES, twin.mesh.vertices, begin)
+    whole = replace(model, frames=begin + more).positions(TRUTH)
+    turn = Rotation.from_rotvec([0, 0, 0.7])
+    aside = np.array([0.2, -0.1, 0.0])
+    placed = np.array([turn.apply(x) + aside for x in whole])
+    drift = np.broadcast_to([0.3, 0.0, 0.0], twin.mesh.vertices.shape)
+    seen, pushed = (_continued(model, TRUTH, placed[begin - 1], by, 1 + more) for by in (0 * drift, drift))
+    moved = np.linalg.norm(placed[-1] - placed[begin - 1], axis=-1).max()
+    assert np.linalg.norm(seen - placed[begin - 1 :], axis=-1).max() < 0.05 * moved
+    assert 0.5 * 0.3 / FPS < (pushed - seen)[1, :, 0].mean() < 0.3 / FPS  # friction brakes it
 
 
 @pytest.mark.slow
