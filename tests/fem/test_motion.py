@@ -146,6 +146,8 @@ def test_momentum_of_a_thrown_deformed_body_is_exact():
     stretched = body.mesh.vertices * (1.1, 1.0, 0.95)
     scene = Scene(body, initial_positions=stretched, initial_velocity=(1.0, 2.0, 3.0))
     run = simulate(scene, Timing(frames=6, tolerance=1e-10))
+    each = Scene(body, initial_positions=stretched, initial_velocities=np.tile([1.0, 2.0, 3.0], (len(stretched), 1)))
+    assert np.array_equal(simulate(each, Timing(frames=6, tolerance=1e-10)).positions, run.positions)
     expected = body.total_mass * (np.array([1.0, 2, 3]) + G * run.times[:, None])
     np.testing.assert_allclose(momentum(body, run), expected, rtol=1e-6, atol=1e-6)
     assert np.ptp([body.energy(x) for x in run.positions]) > 0.1 * body.energy(stretched)  # it does vibrate

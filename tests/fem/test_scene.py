@@ -136,6 +136,7 @@ def test_bad_options_are_named(options, message):
         ({"damping_time": -1.0}, "damping_time: got -1.0"),
         ({"air_drag": np.inf}, "air_drag: got inf"),
         ({"initial_positions": np.zeros((2, 3))}, r"initial_positions: got shape \(2, 3\)"),
+        ({"initial_velocities": np.zeros((2, 3))}, r"initial_velocities: got shape \(2, 3\)"),
     ],
 )
 def test_bad_scenes_are_named(fields, message):
