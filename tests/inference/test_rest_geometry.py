@@ -96,7 +96,7 @@ def test_a_diagnosis_tells_the_error_of_the_body_from_pictures(tmp_path, monkeyp
         gap = SimpleNamespace(data="the rest", gap_before=0.1, gap_after=0.1, noise_floor=0.1)
         return _Report(_Verdict("No effect.", ("A limit.",)), (gap,))
 
-    monkeypatch.setattr("physconvex.gap.diagnosis.diagnose", diagnose)
+    monkeypatch.setattr("physconvex.gap.diagnose", diagnose)
     monkeypatch.setattr(
         rest_geometry, "reconstruct", lambda capture, *, out, options: reconstruct(capture, out=out, options=QUICK)
     )
