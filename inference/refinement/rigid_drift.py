@@ -175,6 +175,9 @@ def _continued(
 ) -> Float[np.ndarray, "T V 3"]:
     """Positions of the nodes [m] from the last frame of a model on, its state moved rigidly to where it is seen.
 
+    A drift may put the body into an obstacle. It is moved out of it, since thousands of points in contact fill the
+    memory.
+
     Args:
         model: its last frame is the one.
         values: of its parameters.
@@ -187,6 +190,10 @@ def _continued(
     last, velocities = run.positions[-1], run.velocities[-1]
     turn = best_rotation(last, nodes)
     moved = nodes.mean(axis=0) + (last - last.mean(axis=0)) @ turn.T
+    for obstacle in case.scene.obstacles:
+        gaps, least = obstacle.gap(moved, 0.0), min(0.0, float(obstacle.gap(last, 0.0).min()))
+        deepest = int(np.argmin(gaps))
+        moved = moved + max(0.0, least - gaps[deepest]) * obstacle.normals(moved, 0.0)[deepest]
     still = {"initial_orientation": (0.0, 0.0, 0.0), "initial_positions": moved}
     scene = replace(case.scene, **still, initial_velocities=velocities @ turn.T + drift)
     return simulate(scene, replace(case.timing, frames=frames)).positions

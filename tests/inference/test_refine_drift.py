@@ -84,6 +84,8 @@ def test_a_model_goes_on_from_where_the_body_is_seen(tmp_path):
     seen, pushed = (_continued(model, TRUTH, placed[begin - 1], by, 1 + more) for by in (0 * drift, drift))
     moved = np.linalg.norm(placed[-1] - placed[begin - 1], axis=-1).max()
     assert np.linalg.norm(seen - placed[begin - 1 :], axis=-1).max() < 0.05 * moved
+    sunk = _continued(model, TRUTH, placed[begin - 1] - [0, 0, 0.06], 0 * drift, 1 + more)
+    np.testing.assert_allclose(sunk, seen, atol=1e-3 * moved)
     assert 0.5 * 0.3 / FPS < (pushed - seen)[1, :, 0].mean() < 0.3 / FPS  # friction brakes it
 
 
