@@ -16,7 +16,7 @@ from physconvex.convex.motion import DeformationMap
 from physconvex.errors import InputError
 
 LEVELS = 6  # most splits: one convex becomes up to 64
-BLOCK = 2000  # convexes whose deviation is computed at once
+POINTS = 50_000  # at which a deformation is evaluated at once: with all states it takes kilobytes at each
 MOST_OVERLAP = 0.2  # of the extent across the cut
 CENTRAL = 0.15  # a corner this near to the middle (in extents) is the place of the cut
 NEAR_CUT, CENTRAL_POINT = 0.05, 0.3  # of `halve`: points this near to the cut belong to both parts; as CENTRAL
@@ -52,9 +52,15 @@ def deviation_from_affine(
     field: ConvexField, deform: DeformationMap
 ) -> tuple[Float[Tensor, "T N"], Float[Tensor, "T N"]]:
     """The greatest distance from the best affine map, and the size of the moved convex [m], see `non_affinity`."""
-    blocks = [_deviation(field.select(rows), deform) for rows in torch.arange(len(field)).split(BLOCK)]
+    count = field.points.shape[1]
+    blocks = [_deviation(field.select(rows), deform) for rows in _blocks(field, count * (count + 1) // 2)]
     deviations, sizes = zip(*blocks, strict=True)
     return torch.cat(deviations, dim=1), torch.cat(sizes, dim=1)
+
+
+def _blocks(field: ConvexField, points: int) -> tuple[Tensor, ...]:
+    """Indices of the convexes in parts, with so many points in each convex."""
+    return torch.arange(len(field)).split(max(1, POINTS // points))
 
 
 def _deviation(field: ConvexField, deform: DeformationMap) -> tuple[Float[Tensor, "T N"], Float[Tensor, "T N"]]:
@@ -171,7 +177,10 @@ def split_until_affine(
         which = torch.zeros(len(field), dtype=torch.bool)
         which[chosen] = True
         normals = torch.zeros_like(field.points[:, 0])
-        normals[chosen] = _bending(field.select(chosen), deform)
+        bent = field.select(chosen)
+        normals[chosen] = torch.cat(
+            [_bending(bent.select(rows), deform) for rows in _blocks(bent, bent.points.shape[1])]
+        )
         heights = torch.einsum("nki,ni->nk", field.points.detach(), normals)
         across = heights.amax(dim=1) - heights.amin(dim=1)
         reach = torch.minimum(overlap / (field.smoothness * field.sharpness), MOST_OVERLAP * across).detach()

@@ -85,6 +85,20 @@ def test_bending_is_found_and_split_away():
     assert len(split_until_affine(field, bend, tolerance=0.01, limit=5).field) <= 5
 
 
+def test_the_deformation_is_evaluated_at_few_points_at_once(monkeypatch):
+    """The corners of a part grow with every cut, and all pairs of them are asked for: that took 15 gigabytes."""
+    field, asked = bar(), []
+
+    def counted(points):
+        asked.append(len(points))
+        return bend(points)
+
+    whole = split_until_affine(field, bend, tolerance=0.01, limit=100)
+    monkeypatch.setattr("physconvex.convex.splitting.POINTS", 100)
+    parts = split_until_affine(field, counted, tolerance=0.01, limit=100)
+    assert max(asked) <= 100 and torch.allclose(parts.field.points, whole.field.points, atol=1e-6)
+
+
 def fold(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """A pyramid is pushed up in the middle: folds that meet, as the faces of finite elements do."""
     slopes = points.new_tensor([[1.0, 0, 0], [-1.0, 0, 0], [0, 2.0, 0], [0, -2.0, 0]])
