@@ -157,7 +157,7 @@ def followed_motion(
     if motion.model == "full" and observed < len(nodes):
         past = motion.nodes[:observed]
         drift = seen.drift_velocity(embedding.apply(past), past)
-        model = replace(full, mesh=motion.mesh, points=motion.mesh.vertices)
+        model = replace(full, mesh=motion.mesh)
 
         def compute() -> dict[str, np.ndarray]:
             return {"nodes": _continued(model, found.values, nodes[observed - 1], drift, len(nodes) - observed + 1)}
@@ -175,8 +175,7 @@ def _continued(
 ) -> Float[np.ndarray, "T V 3"]:
     """Positions of the nodes [m] from the last frame of a model on, its state moved rigidly to where it is seen.
 
-    A drift may put the body into an obstacle. It is moved out of it, since thousands of points in contact fill the
-    memory.
+    A drift may put the body into an obstacle, where no body is: it is moved out, as deep as the model itself is in.
 
     Args:
         model: its last frame is the one.
@@ -194,6 +193,10 @@ def _continued(
         gaps, least = obstacle.gap(moved, 0.0), min(0.0, float(obstacle.gap(last, 0.0).min()))
         deepest = int(np.argmin(gaps))
         moved = moved + max(0.0, least - gaps[deepest]) * obstacle.normals(moved, 0.0)[deepest]
-    still = {"initial_orientation": (0.0, 0.0, 0.0), "initial_positions": moved}
-    scene = replace(case.scene, **still, initial_velocities=velocities @ turn.T + drift)
+    scene = replace(
+        case.scene,
+        initial_orientation=(0.0, 0.0, 0.0),
+        initial_positions=moved,
+        initial_velocities=velocities @ turn.T + drift,
+    )
     return simulate(scene, replace(case.timing, frames=frames)).positions
