@@ -71,7 +71,7 @@ def structural_similarity(image: Float[Tensor, "H W 3"], reference: Float[Tensor
 
     Differentiable by the first image. Near the border the windows see zeros in both images.
     """
-    x, y = image.movedim(-1, 0)[:, None], reference.movedim(-1, 0)[:, None]
+    x, y = image.movedim(-1, 0), reference.movedim(-1, 0)
     parts = torch.cat([x, x * x, x * y])
     fixed = torch.cat([y, y * y]).detach()
     mean_x, square_x, product = _blurred(parts).chunk(3)
@@ -83,10 +83,12 @@ def structural_similarity(image: Float[Tensor, "H W 3"], reference: Float[Tensor
     return (values / ((mean_x**2 + mean_y**2 + c1) * (variance + c2))).mean()
 
 
-def _blurred(images: Tensor) -> Tensor:
-    line = _window(images.dtype, images.device)
-    rows = functional.conv2d(images, line[None, None, :, None], padding=(WINDOW // 2, 0))
-    return functional.conv2d(rows, line[None, None, None], padding=(0, WINDOW // 2))
+def _blurred(images: Float[Tensor, "C H W"]) -> Float[Tensor, "C H W"]:
+    """Each as a channel of one image with a kernel of its own: as a batch they take over ten times as long on a CPU."""
+    count, line = len(images), _window(images.dtype, images.device)
+    down, across = line[:, None].expand(count, 1, -1, 1), line.expand(count, 1, 1, -1)
+    rows = functional.conv2d(images[None], down, padding=(WINDOW // 2, 0), groups=count)
+    return functional.conv2d(rows, across, padding=(0, WINDOW // 2), groups=count)[0]
 
 
 @cache
