@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inference.refinement.meshes import comparison_mesh
-from inference.refinement.problem import LEFT, Problem
+from inference.refinement.problem import Problem
 from inference.refinement.rigid_drift import with_drift_by, with_drift_limit
 from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import ConvergenceError
@@ -22,10 +22,10 @@ from physconvex.identify import (
     WeightedObservations,
     coarse_mesh,
     fit_full,
-    frame_errors,
     misfit_of,
     roll_out_together,
 )
+from physconvex.mesh import TetMesh
 
 START_OPTIONS = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5)
 _RUNS = 6
@@ -34,8 +34,8 @@ _FEW = 0.7  # of the nodes: a larger mesh is hardly cheaper
 
 def coarse_start(
     run: RefinementRun, problem: Problem, reduced: Fit, candidates: Sequence[np.ndarray]
-) -> tuple[Problem, Fit, FullModel]:
-    """The problem with a bound on its drift, the start, and the model of few nodes.
+) -> tuple[Problem, Fit, FullModel, TetMesh | None]:
+    """The problem with a bound on its drift, the start, the model of few nodes, and another mesh of the body, if any.
 
     Args:
         run: the refinement.
@@ -50,7 +50,10 @@ def coarse_start(
     half = replace(problem.full(run.memory), twin=few_steps)
     mesh = coarse_mesh(run.capture, few_steps.mesh)
     coarse = half if mesh is few_steps.mesh else replace(half, mesh=mesh)
-    other = _beside(problem, half, coarse)
+    beside = comparison_mesh(problem.twin) if coarse is half else mesh
+    other = None  # before a contact meshes hardly differ
+    if problem.twin.may_strike and beside is not None:
+        other = replace(half, mesh=beside)
     if run.options.drift and other is not None:
         problem = with_drift_limit(run, problem, half, other, reduced)
     start = _best(run, problem, half, other, reduced, candidates)
@@ -66,17 +69,7 @@ def coarse_start(
                 found = replace(found, values=start.values)
         return found
 
-    return problem, run.fit("coarse", problem.parameters, compute), coarse
-
-
-def _beside(problem: Problem, half: FullModel, coarse: FullModel) -> FullModel | None:
-    """The model on another mesh; None if there is none, or no contact, from which on meshes differ."""
-    if not problem.twin.may_strike:
-        return None
-    if coarse is not half:
-        return coarse
-    mesh = comparison_mesh(problem.twin)
-    return None if mesh is None else replace(half, mesh=mesh)
+    return problem, run.fit("coarse", problem.parameters, compute), coarse, beside
 
 
 def _best(
@@ -106,7 +99,7 @@ def _with_errors(problem: Problem, model: FullModel, other: FullModel, values: n
     except ConvergenceError:
         return problem
     drift = 0.0 if problem.drift_limit is None else problem.drift_limit[1]
-    return replace(problem, errors=LEFT * frame_errors(replace(problem, drift=drift).seen, here, there))
+    return replace(problem, errors=replace(problem, drift=drift).errors_between(here, there))
 
 
 def misfits_of(problem: Problem, model: FullModel, candidates: Sequence[np.ndarray]) -> Float[np.ndarray, " C"]:

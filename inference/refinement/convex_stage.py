@@ -161,7 +161,7 @@ def _with_drift(problem: Problem, drift: tuple[float, ...]) -> Problem:
 
 
 def _started(run: RefinementRun, problem: Problem, candidates: Sequence[np.ndarray]) -> Arrays:
-    trials = run.workers.map(partial(_likelihoods, problem, run.options.drift), candidates)
+    trials = run.workers.map(partial(_likelihoods_by_drift, problem, run.options.drift), candidates)
     if not any(np.isfinite(likelihoods).any() for likelihoods, _ in trials):
         raise ConvergenceError("convex twin: the body cannot be simulated at any start")
     best, size = least_drift([likelihoods for likelihoods, _ in trials])
@@ -228,7 +228,7 @@ def least_drift(likelihoods: Sequence[Sequence[float]]) -> tuple[int, int]:
     raise AssertionError("one of them is the most likely")
 
 
-def _likelihoods(
+def _likelihoods_by_drift(
     problem: Problem, drifts: bool, values: np.ndarray
 ) -> tuple[list[float], list[tuple[int, float] | None]]:
     """Log-likelihood of values without drift, and with drifts of several sizes; those drifts."""

@@ -28,11 +28,10 @@ from inference.refinement.estimates import (
 from inference.refinement.field_adaptation import with_split_convexes
 from inference.refinement.fine_fit import fit_on_more_nodes
 from inference.refinement.geometry_error import geometry_error
-from inference.refinement.meshes import comparison_mesh
 from inference.refinement.motion import future_rms, refined_motion
 from inference.refinement.observations import observe_capture, selected
 from inference.refinement.options import RefineOptions
-from inference.refinement.problem import LEFT, Problem, material_of, moved_inside, started_from, values_of
+from inference.refinement.problem import Problem, material_of, moved_inside, started_from, values_of
 from inference.refinement.reduced_search import ReducedSearch, predicted, with_predicted_ratio
 from inference.refinement.result import FittedParameter, Refinement, StageEstimate, row_of
 from inference.refinement.rigid_drift import drift_of, drifted, followed_motion, with_drift
@@ -54,13 +53,13 @@ from physconvex.identify import (
     default_parameter,
     default_parameters,
     fit_full,
-    frame_errors,
     identifiability,
     noise_covariance,
     roll_out_together,
     with_free_friction,
 )
 from physconvex.io import Capture, Workers, load_capture
+from physconvex.mesh import TetMesh
 from physconvex.numerics import device_named
 from physconvex.reduced import parameter_values
 
@@ -170,9 +169,10 @@ def _refined(run: RefinementRun) -> Refinement:
         problem = _with_free_height(run, problem)
         start, candidates = moved_inside(problem.parameters, reduced, candidates)
     coarse: FullModel | None = None
+    beside: TetMesh | None = None
     if options.own_derivatives:
         try:
-            problem, start, coarse = coarse_start(run, problem, start, candidates)
+            problem, start, coarse, beside = coarse_start(run, problem, start, candidates)
         except ConvergenceError:  # too few nodes to be simulated: the reduced model's fit is the start
             pass
     if problem.observed.follows_points:
@@ -180,7 +180,7 @@ def _refined(run: RefinementRun) -> Refinement:
         if not options.own_derivatives:
             start = search.fit("reduced_again", problem, started_from(problem.parameters, start))
     problem = _with_time_step(run, problem, start)
-    other = None if coarse is None else _model_beside(run, problem, start, coarse)
+    other = None if coarse is None else _model_beside(run, problem, start, beside)
     problem = with_drift(run, problem, start, "drift")
     if other is not None:
         problem = _with_errors(run, problem, other, start)
@@ -348,10 +348,9 @@ def _with_time_step(run: RefinementRun, problem: Problem, start: Fit) -> Problem
     return replace(problem, twin=replace(twin, steps_per_frame=max(4, math.ceil(rate / twin.fps))))
 
 
-def _model_beside(run: RefinementRun, problem: Problem, start: Fit, coarse: FullModel) -> FullModel:
+def _model_beside(run: RefinementRun, problem: Problem, start: Fit, mesh: TetMesh | None) -> FullModel:
     """The full model on another mesh, for comparison; the roll-outs needed on both run ahead, in parallel."""
     full = problem.full(run.memory)
-    mesh = comparison_mesh(problem.twin) if coarse.mesh is None else coarse.mesh
     other = full if mesh is None else replace(full, mesh=mesh)
     if full.differenced and not run.stages.known("frame_errors"):  # the search starts with these derivatives
         roll_out_together([(other, start.values)], beside=[(full, start.values)])
@@ -363,7 +362,7 @@ def _with_errors(run: RefinementRun, problem: Problem, other: FullModel, start: 
 
     def compute() -> Arrays:
         here, there = problem.full(run.memory).begun(start.values), other.positions(start.values)
-        return {"errors": LEFT * frame_errors(problem.seen, here, there)}
+        return {"errors": problem.errors_between(here, there)}
 
     try:
         return replace(problem, errors=run.stages.run("frame_errors", compute)["errors"])

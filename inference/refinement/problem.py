@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float
 
 from inference.refinement.observations import Observed
 from physconvex.fem import SurfacePoints
@@ -22,11 +23,12 @@ from physconvex.identify import (
     RollOuts,
     Twin,
     WeightedObservations,
+    frame_errors,
 )
 from physconvex.mesh import TetMesh
 from physconvex.reduced import parameter_values
 
-LEFT = 0.5  # of the difference between few and more nodes: remaining error of more nodes
+_LEFT = 0.5  # of the difference between few and more nodes: remaining error of more nodes
 HELD = 1e-3  # standard deviation of the prior of a value that is held, in typical steps
 
 
@@ -81,6 +83,12 @@ class Problem:
     def weighted(self) -> Observations:
         """The observations, frames weighted by the model's error."""
         return self.seen if self.errors is None else WeightedObservations.by_errors(self.seen, self.errors)
+
+    def errors_between(
+        self, here: Float[np.ndarray, "T P 3"], there: Float[np.ndarray, "T P 3"]
+    ) -> Float[np.ndarray, " T"]:
+        """The model's error by frame, from its positions on two meshes [m]; in standard deviations of the noise."""
+        return _LEFT * frame_errors(self.seen, here, there)
 
     def reduced(self) -> ReducedModel:
         """The reduced model of the observed points."""
