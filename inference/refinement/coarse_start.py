@@ -50,7 +50,7 @@ def coarse_start(
     half = replace(problem.full(run.memory), twin=few_steps)
     mesh = coarse_mesh(run.capture, few_steps.mesh)
     coarse = half if mesh is few_steps.mesh else replace(half, mesh=mesh)
-    beside = comparison_mesh(problem.twin) if coarse is half else mesh
+    beside = comparison_mesh(run, problem.twin) if coarse is half else mesh
     other = None  # before a contact meshes hardly differ
     if problem.twin.may_strike and beside is not None:
         other = replace(half, mesh=beside)

@@ -148,7 +148,7 @@ def with_model_error(
         return unknown
     mesh = full.mesh
     if mesh is None and options.correction:
-        mesh = comparison_mesh(twin)
+        mesh = comparison_mesh(run, twin)
 
     def compute() -> Arrays:
         own = replace(full, points=seen.points)

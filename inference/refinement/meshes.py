@@ -1,13 +1,19 @@
-"""Meshes of more nodes: for the last searches, and to compare with."""
+"""The meshes of a refinement: the twin's, and ones of more nodes, for the last searches and to compare with.
+
+They are stages: in another run a mesher may make another mesh, to which the stored motions do not belong.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
 from inference.refinement.problem import material_of
 from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import ConvergenceError
-from physconvex.identify import Fit, Twin, surface_of_capture
+from physconvex.identify import Fit, Twin, mesh_of_capture, surface_of_capture
+from physconvex.io import Capture
 from physconvex.mesh import (
     TetMesh,
     filled,
@@ -26,7 +32,20 @@ _MOST_NODES = 4000  # of tetrahedra split into eight
 _STIFF, _OF_STIFF, _OF_SOFT = 30.0, 2400, 1400
 
 
-def comparison_mesh(twin: Twin) -> TetMesh | None:
+def twin_mesh(run: RefinementRun) -> TetMesh:
+    """The twin's quadratic mesh, see `physconvex.identify.mesh_of_capture`; filled if the options say so.
+
+    Raises:
+        InputError, ConvergenceError: there is none.
+    """
+    capture, options = run.capture, run.options
+    mesh = _kept(run, "mesh", lambda: mesh_of_capture(capture, max_nodes=options.max_nodes))
+    surface = surface_of_capture(capture)
+    assert mesh is not None and surface is not None
+    return filled(mesh, *surface) if options.fill and not _is_given(capture, mesh) else mesh
+
+
+def comparison_mesh(run: RefinementRun, twin: Twin) -> TetMesh | None:
     """A finer quadratic mesh of the same body, or None if none is small enough.
 
     Tetrahedra of the capture are split into eight each, which keeps the geometry. A mesh made of the capture's surface
@@ -38,11 +57,14 @@ def comparison_mesh(twin: Twin) -> TetMesh | None:
     surface = surface_of_capture(twin.capture)
     if surface is None:
         return None
-    try:
-        fine = mesh_of_few_nodes(*surface, max_nodes=int(_FINER * len(twin.mesh.vertices)))
-    except ConvergenceError:
-        return None
-    return _filled_alike(fine, twin, surface)
+
+    def make() -> TetMesh | None:
+        try:
+            return mesh_of_few_nodes(*surface, max_nodes=int(_FINER * len(twin.mesh.vertices)))
+        except ConvergenceError:
+            return None
+
+    return _filled_alike(_kept(run, "comparison_mesh", make), twin, surface)
 
 
 def fine_mesh(run: RefinementRun, twin: Twin, found: Fit) -> TetMesh | None:
@@ -61,15 +83,26 @@ def fine_mesh(run: RefinementRun, twin: Twin, found: Fit) -> TetMesh | None:
     if shape_mismatch(twin.mesh, *surface) < _ALIKE:
         return None
 
-    def compute() -> Arrays:
+    def make() -> TetMesh | None:
         try:
-            mesh = tetrahedralize(surface, max_nodes=nodes, order=2, method="auto", thorough=True)
+            return tetrahedralize(surface, max_nodes=nodes, order=2, method="auto", thorough=True)
         except ConvergenceError:
+            return None
+
+    return _filled_alike(_kept(run, "fine_mesh", make), twin, surface)
+
+
+def _kept(run: RefinementRun, name: str, make: Callable[[], TetMesh | None]) -> TetMesh | None:
+    """The mesh of a stage."""
+
+    def compute() -> Arrays:
+        mesh = make()
+        if mesh is None:
             return {"vertices": np.zeros((0, 3)), "tets": np.zeros((0, 10), dtype=np.int64)}
         return {"vertices": mesh.vertices, "tets": mesh.tets}
 
-    arrays = run.stages.run("fine_mesh", compute)
-    return _filled_alike(TetMesh(arrays["vertices"], arrays["tets"]), twin, surface) if len(arrays["tets"]) else None
+    arrays = run.stages.run(name, compute)
+    return TetMesh(arrays["vertices"], arrays["tets"]) if len(arrays["tets"]) else None
 
 
 def _affordable(twin: Twin, found: Fit) -> int:
@@ -80,12 +113,16 @@ def _affordable(twin: Twin, found: Fit) -> int:
 
 def is_of_capture(twin: Twin) -> bool:
     """Whether the twin's tetrahedra are those of the capture."""
-    tets = twin.capture.tets()
-    return tets is not None and np.array_equal(twin.mesh.vertices[: len(tets.vertices)], tets.vertices)
+    return _is_given(twin.capture, twin.mesh)
 
 
-def _filled_alike(fine: TetMesh, twin: Twin, surface: tuple[np.ndarray, np.ndarray]) -> TetMesh | None:
-    """Filled if the twin's mesh is; None where it has hardly more nodes."""
-    if len(fine.vertices) <= _HARDLY * len(twin.mesh.vertices):
+def _is_given(capture: Capture, mesh: TetMesh) -> bool:
+    tets = capture.tets()
+    return tets is not None and np.array_equal(mesh.vertices[: len(tets.vertices)], tets.vertices)
+
+
+def _filled_alike(fine: TetMesh | None, twin: Twin, surface: tuple[np.ndarray, np.ndarray]) -> TetMesh | None:
+    """Filled if the twin's mesh is; None where there is none, or one of hardly more nodes."""
+    if fine is None or len(fine.vertices) <= _HARDLY * len(twin.mesh.vertices):
         return None
     return fine if twin.mesh.filling is None else filled(fine, *surface)

@@ -28,6 +28,7 @@ from inference.refinement.estimates import (
 from inference.refinement.field_adaptation import with_split_convexes
 from inference.refinement.fine_fit import fit_on_more_nodes
 from inference.refinement.geometry_error import geometry_error
+from inference.refinement.meshes import twin_mesh
 from inference.refinement.motion import future_rms, refined_motion
 from inference.refinement.observations import observe_capture, selected
 from inference.refinement.options import RefineOptions
@@ -286,7 +287,7 @@ def _problem(run: RefinementRun) -> Problem:
     """The problem of the fit: the twin with the fixed values, the unknowns, the observations."""
     options = run.options
     sizes = TwinOptions(options.weights, options.max_nodes, options.steps_per_frame, fill=options.fill)
-    twin = base_twin(run.capture, sizes)
+    twin = base_twin(run.capture, sizes, mesh=twin_mesh(run))
     if "friction" in options.free:
         twin = with_free_friction(twin)
     observed, twin = observe_capture(run, twin)

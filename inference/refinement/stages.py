@@ -27,6 +27,8 @@ Scanned = tuple[tuple[Parameter, ...], ...]
 _KEY = "stage_key"
 _IN_WORDS = {  # of NAME, and of NAME_… unless that has its own
     "reconstruction": "reconstructing the body from the first frames",
+    "mesh": "making the mesh",
+    "comparison_mesh": "making a mesh to compare with",
     "points": "following points in the videos",
     "network": "predicting by the network",
     "convex": "fitting the convex twin to the pixels",

@@ -27,7 +27,7 @@ def test_a_finer_model_that_runs_away_is_not_followed(away, strikes, monkeypatch
         "errors": np.zeros(3),
         "runs_away": np.array(away),
     }
-    monkeypatch.setattr(estimates, "comparison_mesh", lambda twin: "mesh")
+    monkeypatch.setattr(estimates, "comparison_mesh", lambda run, twin: "mesh")
     monkeypatch.setattr(estimates, "is_of_capture", lambda twin: True)
     monkeypatch.setattr(estimates, "fit_of", lambda arrays, parameters: last)
     full, warnings = SimpleNamespace(twin=SimpleNamespace(may_strike=strikes), mesh=None, frames=3), []
@@ -48,13 +48,14 @@ def test_finer_meshes_are_filled_where_the_twin_s_is(fill, monkeypatch):
     monkeypatch.setattr(meshes, "mesh_of_few_nodes", lambda *surface, max_nodes: fine)
     monkeypatch.setattr(meshes, "tetrahedralize", lambda *surface, **how: fine)
     twin = SimpleNamespace(capture=capture, mesh=filled(coarse, *surface) if fill else coarse, may_strike=True)
-    options = RefineOptions(fine_nodes=900)
-    for found in (meshes.comparison_mesh(twin), meshes.fine_mesh(RefinementRun(None, options), twin, None)):
+    run = RefinementRun(None, RefineOptions(fine_nodes=900))
+    for found in (meshes.comparison_mesh(run, twin), meshes.fine_mesh(run, twin, None)):
         assert np.array_equal(found.vertices, fine.vertices)
         assert (found.filling is not None) == fill
 
 
-def test_the_mesh_of_the_last_searches_is_kept_with_the_stages(tmp_path, monkeypatch):
+@pytest.mark.parametrize("which", ["twin", "comparison", "fine"])
+def test_meshes_are_kept_with_the_stages(which, tmp_path, monkeypatch):
     """FTetWild never makes the same one twice, and later stages are of its nodes."""
     surface = box_mesh((0.3, 0.2, 0.2), (2, 1, 1), order=1).surface
     shown = SimpleNamespace(vertices=surface[0], faces=surface[1])
@@ -62,16 +63,28 @@ def test_the_mesh_of_the_last_searches_is_kept_with_the_stages(tmp_path, monkeyp
     twin = SimpleNamespace(capture=capture, mesh=box_mesh((0.28, 0.2, 0.2), (2, 1, 1)), may_strike=True)
     made = []
 
-    def tetrahedralize(surface, *, max_nodes, order, method, thorough):
-        made.append((max_nodes, order, method, thorough))
+    def mesh(*surface, **how):
+        made.append(how)
         return box_mesh((0.3, 0.2, 0.2), (4, 2, 1 + len(made)))
 
-    monkeypatch.setattr(meshes, "tetrahedralize", tetrahedralize)
-    options = RefineOptions(fine_nodes=900)
-    first, again = (
-        meshes.fine_mesh(RefinementRun(None, options, Stages(tmp_path, "key")), twin, None) for _ in range(2)
-    )
-    assert made == [(900, 2, "auto", True)] and np.array_equal(first.tets, again.tets)
+    for mesher in ("mesh_of_capture", "mesh_of_few_nodes", "tetrahedralize"):
+        monkeypatch.setattr(meshes, mesher, mesh)
+    few = int(1.8 * len(twin.mesh.vertices))
+    ways = {
+        "twin": (meshes.twin_mesh, {"max_nodes": 700}),
+        "comparison": (
+            lambda run: meshes.comparison_mesh(run, twin),
+            {"max_nodes": few},
+        ),
+        "fine": (
+            lambda run: meshes.fine_mesh(run, twin, None),
+            {"max_nodes": 900, "order": 2, "method": "auto", "thorough": True},
+        ),
+    }
+    way, how = ways[which]
+    options = RefineOptions(max_nodes=700, fine_nodes=900, fill=False)
+    first, again = (way(RefinementRun(capture, options, Stages(tmp_path, "key"))) for _ in range(2))
+    assert made == [how] and np.array_equal(first.tets, again.tets)
 
 
 @pytest.mark.parametrize(

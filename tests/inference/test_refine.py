@@ -141,7 +141,7 @@ def test_a_stopped_refinement_goes_on_and_another_setting_starts_anew(alone, fol
     (out / "stages" / "motion.npz").unlink()
     stages = []
     again = refine(folder, out=out, options=RefineOptions(**options), on_stage=lambda *a: stages.append(a))
-    assert stages == [("scan", True), ("reduced", True), ("motion", False)]
+    assert stages == [("mesh", True), ("scan", True), ("reduced", True), ("motion", False)]
     assert again.youngs_modulus == told["youngs_modulus"]["value"]
     assert again["poisson_ratio"].value == told["parameters"]["poisson_ratio"]["value"]
     shown = again._repr_html_()
