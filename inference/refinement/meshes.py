@@ -1,6 +1,6 @@
 """The meshes of a refinement: the twin's, and ones of more nodes, for the last searches and to compare with.
 
-They are stages: in another run a mesher may make another mesh, to which the stored motions do not belong.
+Those of a mesher are stages: in another run it may make another mesh, to which the stored motions do not belong.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from inference.refinement.problem import material_of
 from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import ConvergenceError
 from physconvex.identify import Fit, Twin, mesh_of_capture, surface_of_capture
-from physconvex.io import Capture
 from physconvex.mesh import (
     TetMesh,
     filled,
@@ -39,10 +38,12 @@ def twin_mesh(run: RefinementRun) -> TetMesh:
         InputError, ConvergenceError: there is none.
     """
     capture, options = run.capture, run.options
+    if capture.tets() is not None:  # usually taken as they are
+        return mesh_of_capture(capture, max_nodes=options.max_nodes, fill=options.fill)
     mesh = _kept(run, "mesh", lambda: mesh_of_capture(capture, max_nodes=options.max_nodes))
     surface = surface_of_capture(capture)
     assert mesh is not None and surface is not None
-    return filled(mesh, *surface) if options.fill and not _is_given(capture, mesh) else mesh
+    return filled(mesh, *surface) if options.fill else mesh
 
 
 def comparison_mesh(run: RefinementRun, twin: Twin) -> TetMesh | None:
@@ -113,12 +114,8 @@ def _affordable(twin: Twin, found: Fit) -> int:
 
 def is_of_capture(twin: Twin) -> bool:
     """Whether the twin's tetrahedra are those of the capture."""
-    return _is_given(twin.capture, twin.mesh)
-
-
-def _is_given(capture: Capture, mesh: TetMesh) -> bool:
-    tets = capture.tets()
-    return tets is not None and np.array_equal(mesh.vertices[: len(tets.vertices)], tets.vertices)
+    tets = twin.capture.tets()
+    return tets is not None and np.array_equal(twin.mesh.vertices[: len(tets.vertices)], tets.vertices)
 
 
 def _filled_alike(fine: TetMesh | None, twin: Twin, surface: tuple[np.ndarray, np.ndarray]) -> TetMesh | None:

@@ -141,7 +141,7 @@ def test_a_stopped_refinement_goes_on_and_another_setting_starts_anew(alone, fol
     (out / "stages" / "motion.npz").unlink()
     stages = []
     again = refine(folder, out=out, options=RefineOptions(**options), on_stage=lambda *a: stages.append(a))
-    assert stages == [("mesh", True), ("scan", True), ("reduced", True), ("motion", False)]
+    assert stages == [("scan", True), ("reduced", True), ("motion", False)]
     assert again.youngs_modulus == told["youngs_modulus"]["value"]
     assert again["poisson_ratio"].value == told["parameters"]["poisson_ratio"]["value"]
     shown = again._repr_html_()
@@ -182,7 +182,7 @@ def test_a_wrong_option_is_named(folder, tmp_path):
         result = run(folder, "--out", tmp_path / "x", *arguments, *SMALL)
         assert isinstance(result.exception, InputError)
         assert message in str(result.exception)
-        assert {path.stem for path in (tmp_path / "x" / "stages").glob("*.npz")} <= {"mesh"}  # nothing was fitted
+        assert not list((tmp_path / "x" / "stages").glob("*.npz"))  # no work was done
 
 
 def test_values_of_a_floor_need_a_floor(folder, tmp_path):

@@ -100,7 +100,7 @@ def test_one_camera_is_enough(folder, tmp_path):
     start = {"log10_youngs_modulus": 4.1, "poisson_ratio": 0.3}
     options = RefineOptions(initial=start, **FEW)
     found = refine(folder, out=tmp_path, options=options, on_stage=lambda name, _: stages.append(name))
-    fits = ["mesh", "points", "reduced", "anchored", "reduced_again", "colours_1.5"]
+    fits = ["points", "reduced", "anchored", "reduced_again", "colours_1.5"]
     assert stages == [*fits, "motion", "field"]
     assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.05)
     assert found["poisson_ratio"].value == pytest.approx(TRUTH["poisson_ratio"], abs=0.06)
@@ -129,7 +129,6 @@ def test_the_convex_twin_alone_tells_the_material_from_the_pixels(folder, tmp_pa
     options = options.replace(stop_after="convex", pixels=(24, 48, 96))
     found = refine(folder, out=tmp_path, options=options, on_stage=lambda *stage: stages.append(stage))
     names = [
-        "mesh",
         "points",
         "reduced",
         "field",
