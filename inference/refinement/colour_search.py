@@ -56,7 +56,7 @@ def fit_colours(run: RefinementRun, problem: Problem, found: Fit) -> tuple[Probl
 def _fitted(run: RefinementRun, problem: Problem, found: Fit, blur: float, name: str = "") -> tuple[Problem, Fit]:
     trial = with_drift(run, _coloured(run, problem, found, blur), found, f"drift_{blur:g}{name}")
     start = started_from(problem.parameters, found)
-    model = trial.full(run.memory) if run.options.own_derivatives else trial.reduced()
+    model = trial.full(run.memory) if run.options.own_derivatives else trial.reduced
     stage = f"colours_{blur:g}{name}"
     return trial, run.fit(stage, problem.parameters, lambda: fit(model, trial.weighted, start, options=FULL_OPTIONS))
 
@@ -127,7 +127,7 @@ def _coloured(run: RefinementRun, problem: Problem, found: Fit, blur: float) -> 
 
     The fitted model gives the visible points. A camera that sees none keeps its followed points.
     """
-    model: FullModel | ReducedModel = problem.full(run.memory) if run.options.correction else problem.reduced()
+    model: FullModel | ReducedModel = problem.full(run.memory) if run.options.correction else problem.reduced
     observed, (vertices, triangles) = problem.observed, problem.twin.surface
     parts: list[Observations] = []
     sources = []

@@ -11,8 +11,8 @@ import torch
 
 from inference.refinement.appearance import RestField
 from inference.refinement.observations import Observed
-from inference.refinement.problem import Problem, is_held, started_from
-from inference.refinement.reduced_search import with_predicted_ratio
+from inference.refinement.problem import Problem, is_held, moved_inside, started_from
+from inference.refinement.reduced_search import HEIGHT, with_free_height, with_predicted_ratio
 from inference.refinement.stages import Arrays, RefinementRun
 from physconvex import ConvergenceError, InputError
 from physconvex.convex import ConvexField
@@ -20,6 +20,7 @@ from physconvex.identify import (
     Fit,
     FitOptions,
     PhotometricObservations,
+    ReducedModel,
     RigidDriftObservations,
     SecantModel,
     StackedObservations,
@@ -44,6 +45,7 @@ _DRIFTS = (0.01, 0.03, 0.1, 0.3)  # of the speed at the contact: deviations of e
 _ENOUGH = 1.5  # the smallest drift is taken whose least misfit is at most so many times that of any
 _MODULUS = "log10_youngs_modulus"
 _STEPS, _MOVES, _NEAR = (0.2, 0.1), 6, 0.31  # decades: of the search of E, most of each; part of the parabola
+_MOST_HEIGHT = 2.0  # deviations of the floor's height that are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +102,8 @@ def _fitted(
             )
         return None
     problem, ratio_sigma = with_predicted_ratio(run, problem)
+    problem = with_free_height(run, problem)
+    start, candidates = moved_inside(problem.parameters, start, candidates)
     problem, found = _begun(run, replace(problem, twin=_twin(run, problem, start, rest.field)), start, candidates)
     followed = problem.observed
     if not run.options.colours:
@@ -131,7 +135,7 @@ def _with_fitted_weights(run: RefinementRun, problem: Problem, found: Fit, stage
         seen = problem.seen
         shift = None
         if isinstance(seen, RigidDriftObservations):
-            drift = seen.drift(problem.reduced().positions(found.values))
+            drift = seen.drift(problem.reduced.positions(found.values))
             shift = np.concatenate([drift[:, where] for _, where in drawn], axis=1)
         fitted = fit_weights(twin, [part for part, _ in drawn], shift=shift).twin.scene.body.space.field
         assert isinstance(fitted, NeuralWeights)
@@ -161,7 +165,9 @@ def _with_drift(problem: Problem, drift: tuple[float, ...]) -> Problem:
 
 
 def _started(run: RefinementRun, problem: Problem, candidates: Sequence[np.ndarray]) -> Arrays:
-    trials = run.workers.map(partial(_likelihoods_by_drift, problem, run.options.drift), candidates)
+    surface = problem.twin.scene.body.space.samples.surface_points if problem.twin.may_strike else np.zeros((0, 3))
+    model = replace(problem.reduced, points=np.concatenate([problem.reduced.points, surface]))
+    trials = run.workers.map(partial(_likelihoods_by_drift, problem, model, run.options.drift), candidates)
     if not any(np.isfinite(likelihoods).any() for likelihoods, _ in trials):
         raise ConvergenceError("convex twin: the body cannot be simulated at any start")
     best, size = least_drift([likelihoods for likelihoods, _ in trials])
@@ -173,12 +179,16 @@ def _started(run: RefinementRun, problem: Problem, candidates: Sequence[np.ndarr
 
 
 def _searched(run: RefinementRun, problem: Problem, values: np.ndarray) -> np.ndarray:
-    """The values with the most likely log10 E: contacts make the likelihood rough, so a parabola is laid through it."""
-    place, tried = problem.names.index(_MODULUS), dict[float, float]()
+    """The values with the most likely log10 E: contacts make the likelihood rough, so a parabola is laid through it.
+
+    Each E has its own most likely height of the floor, where that is free: a stiffer body that lands earlier rebounds
+    alike.
+    """
+    place, tried = problem.names.index(_MODULUS), dict[float, tuple[float, np.ndarray]]()
 
     def try_at(moduli: Sequence[float]) -> None:
         new = [modulus for modulus in moduli if modulus not in tried]
-        found = run.workers.map(partial(_likelihood, problem), [_replaced(values, place, m) for m in new])
+        found = run.workers.map(partial(_at_best_height, problem), [_replaced(values, place, m) for m in new])
         tried.update(zip(new, found, strict=True))
 
     best = float(values[place])
@@ -186,15 +196,40 @@ def _searched(run: RefinementRun, problem: Problem, values: np.ndarray) -> np.nd
     for step in _STEPS:
         for _ in range(_MOVES):
             try_at([round(best - step, 6), round(best + step, 6)])
-            last, best = best, max(tried, key=tried.__getitem__)
+            last, best = best, max(tried, key=lambda modulus: tried[modulus][0])
             if best == last:
                 break
-    near = np.array([pair for pair in tried.items() if abs(pair[0] - best) <= _NEAR and np.isfinite(pair[1])])
-    if len(near) > 3:
-        curvature, slope, _ = np.polyfit(near[:, 0] - best, near[:, 1], 2)
-        if curvature < 0:
-            best += float(np.clip(-slope / (2 * curvature), -_NEAR, _NEAR))
-    return _replaced(values, place, best)
+    near = [(m, found[0]) for m, found in tried.items() if abs(m - best) <= _NEAR and np.isfinite(found[0])]
+    found = tried[best][1]
+    return _replaced(found, place, best + _vertex(near, best, _NEAR)) if len(near) > 3 else found
+
+
+def _at_best_height(problem: Problem, values: np.ndarray) -> tuple[float, np.ndarray]:
+    """Log-likelihood of values with the most likely height of the floor, its prior included, and these values."""
+    if HEIGHT not in problem.names or is_held(problem.parameters[problem.names.index(HEIGHT)]):
+        return _likelihood(problem, values), values
+    place = problem.names.index(HEIGHT)
+    mean, sigma = problem.parameters[place].prior_mean, problem.parameters[place].prior_sigma
+    tried = list[tuple[float, float]]()
+
+    def try_at(height: float) -> None:
+        prior = 0.5 * ((height - mean) / sigma) ** 2
+        tried.append((height, _likelihood(problem, _replaced(values, place, height)) - prior))
+
+    for height in (mean - sigma, mean, mean + sigma):
+        try_at(height)
+    try_at(mean + _vertex([pair for pair in tried if np.isfinite(pair[1])], mean, _MOST_HEIGHT * sigma))
+    height, likelihood = max(tried, key=lambda pair: pair[1])
+    return likelihood, _replaced(values, place, height)
+
+
+def _vertex(pairs: Sequence[tuple[float, float]], origin: float, most: float) -> float:
+    """Place of the maximum of a parabola through places and heights, from an origin; 0 if it has none."""
+    if len(pairs) < 3:
+        return 0.0
+    places, heights = np.array(pairs).T
+    curvature, slope, _ = np.polyfit((places - origin) / most, heights, 2)
+    return most * float(np.clip(-slope / (2 * curvature), -1.0, 1.0)) if curvature < 0 else 0.0
 
 
 def _replaced(values: np.ndarray, place: int, value: float) -> np.ndarray:
@@ -206,7 +241,7 @@ def _replaced(values: np.ndarray, place: int, value: float) -> np.ndarray:
 def _likelihood(problem: Problem, values: np.ndarray) -> float:
     """Log-likelihood of values, the drift integrated out; −∞ if the body cannot be simulated."""
     try:
-        positions = problem.reduced().positions(values)
+        positions = problem.reduced.positions(values)
     except ConvergenceError:
         return -np.inf
     seen = problem.seen
@@ -229,16 +264,18 @@ def least_drift(likelihoods: Sequence[Sequence[float]]) -> tuple[int, int]:
 
 
 def _likelihoods_by_drift(
-    problem: Problem, drifts: bool, values: np.ndarray
+    problem: Problem, model: ReducedModel, drifts: bool, values: np.ndarray
 ) -> tuple[list[float], list[tuple[int, float] | None]]:
-    """Log-likelihood of values without drift, and with drifts of several sizes; those drifts."""
-    model, twin = problem.reduced(), problem.twin
+    """Log-likelihood of values without drift, and with drifts of several sizes; those drifts.
+
+    The model moves the observed points, and after them those of the surface, which tell the first contact.
+    """
+    twin = problem.twin
     try:
-        points = twin.scene.body.space.samples.surface_points if twin.may_strike else np.zeros((0, 3))
-        both = replace(model, points=np.concatenate([model.points, points])).positions(values)
+        both = model.positions(values)
     except ConvergenceError:
         return [-np.inf], [None]
-    positions, moved = both[:, : len(model.points)], both[:, len(model.points) :]
+    positions, moved = np.split(both, [len(problem.seen.points)], axis=1)
     likelihoods: list[float] = [-misfit_of(problem.seen, positions)]
     sizes: list[tuple[int, float] | None] = [None]
     if not drifts or not twin.may_strike:
@@ -263,7 +300,7 @@ def _beside(followed: Observed, pixels: Observed) -> Observed:
 def _seen_in(problem: Problem, found: Fit) -> Problem:
     """The problem with the convexes alone that show in the motion of a fit."""
     stack = problem.observed.observations
-    moved = replace(problem.reduced(), points=stack.points).positions(found.values)
+    moved = replace(problem.reduced, points=stack.points).positions(found.values)
     pairs = zip(stack.parts, stack.point_slices, strict=True)
     parts = [
         part.visible_in(moved[:, where]) if isinstance(part, PhotometricObservations) else part for part, where in pairs
@@ -273,7 +310,7 @@ def _seen_in(problem: Problem, found: Fit) -> Problem:
 
 def _search(problem: Problem, found: Fit, options: FitOptions) -> Fit:
     """The fit at one scale. Derivatives are computed once, and updated with every step."""
-    model, seen = problem.reduced(), problem.seen
+    model, seen = problem.reduced, problem.seen
     positions, tangents = model.linearise(found.values)
     if isinstance(seen, RigidDriftObservations):
         seen = seen.begun_at(positions)

@@ -175,6 +175,10 @@ class RefineOptions(Options):
         """Whether the full model is fitted with its own derivatives."""
         return self.correction and self.jacobian == "full"
 
+    def states(self, name: str) -> bool:
+        """Whether a parameter is free or held by the user's wish."""
+        return name in self.free or name in self.fixed
+
     @property
     def held(self) -> dict[str, float]:
         """The parameters that are held at a value of the user's."""

@@ -33,7 +33,7 @@ from inference.refinement.motion import future_rms, refined_motion
 from inference.refinement.observations import observe_capture, selected
 from inference.refinement.options import RefineOptions
 from inference.refinement.problem import Problem, material_of, moved_inside, started_from, values_of
-from inference.refinement.reduced_search import ReducedSearch, predicted, with_predicted_ratio
+from inference.refinement.reduced_search import HEIGHT, ReducedSearch, predicted, with_free_height, with_predicted_ratio
 from inference.refinement.result import FittedParameter, Refinement, StageEstimate, row_of
 from inference.refinement.rigid_drift import drift_of, drifted, followed_motion, with_drift
 from inference.refinement.stages import Arrays, RefinementRun, Stages, arrays_of_correction, fit_of, key_of, runs_of
@@ -51,7 +51,6 @@ from physconvex.identify import (
     TwinOptions,
     base_twin,
     correct,
-    default_parameter,
     default_parameters,
     fit_full,
     identifiability,
@@ -68,8 +67,7 @@ _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses
 _NOT_FOLLOWED = 5.0  # standard deviations rms of one source, above which intervals are meaningless
 _WHERE = ("processes", "device", "stop_after")  # settings of where and how far, which leave each stage the same
 _FRICTION = (0.4, 0.3)  # prior, mean and standard deviation, of a floor whose friction is not stated
-_HEIGHT = "floor_height"
-_OF_A_FLOOR = (_HEIGHT, "friction", "contact_damping")
+_OF_A_FLOOR = (HEIGHT, "friction", "contact_damping")
 
 
 def refine(
@@ -109,7 +107,7 @@ def refine(
     selected(capture, options)  # what is missing is told before the work begins
     _check_floor(capture, options)
     warnings: list[str] = []
-    if capture.floor is not None and capture.floor.friction is None and not _stated("friction", options):
+    if capture.floor is not None and capture.floor.friction is None and not options.states("friction"):
         options = options.replace(free=(*options.free, "friction"), priors={"friction": _FRICTION, **options.priors})
         warnings.append(
             "The capture does not state the friction of its floor, so it is fitted, with the prior {:g} ± {:g}; state "
@@ -139,11 +137,6 @@ def _check_floor(capture: Capture, options: RefineOptions) -> None:
                 )
 
 
-def _stated(name: str, options: RefineOptions) -> bool:
-    """Whether a parameter is free or held by the user's wish."""
-    return name in options.free or name in options.fixed
-
-
 def _refined(run: RefinementRun) -> Refinement:
     """All steps, one after the other."""
     options, problem, search = run.options, _problem(run), ReducedSearch(run)
@@ -163,11 +156,11 @@ def _refined(run: RefinementRun) -> Refinement:
                 CONVEX, _estimates(pixels.problem, told, identifiability(told.fit))[0], _fixed(run, problem)
             )
         )
-        candidates = (pixels.found.values, *candidates)
+        candidates = (values_of(reduced.parameters, pixels.found, pixels.found.values), *candidates)
     ratio_sigma = None
     if run.reconstruction is not None:
         problem, ratio_sigma = with_predicted_ratio(run, problem)
-        problem = _with_free_height(run, problem)
+        problem = with_free_height(run, problem)
         start, candidates = moved_inside(problem.parameters, reduced, candidates)
     coarse: FullModel | None = None
     beside: TetMesh | None = None
@@ -305,19 +298,6 @@ def _problem(run: RefinementRun) -> Problem:
     return Problem(twin, started, observed, options.nuisance, _contact_surface(twin))
 
 
-def _with_free_height(run: RefinementRun, problem: Problem) -> Problem:
-    """The problem with the floor's height free within the error of the reconstructed body, which decides when it lands.
-
-    A model of few weights would take for it what the missing weights do.
-    """
-    made, twin = run.reconstruction, problem.twin
-    if made is None or made.error is None or not twin.may_strike or _stated(_HEIGHT, run.options):
-        return problem
-    height = float(parameter_values(twin.scene, [_HEIGHT])[0])
-    free = replace(default_parameter(_HEIGHT, start=height), prior_mean=height, prior_sigma=made.error.deviation)
-    return replace(problem, parameters=(*problem.parameters, free))
-
-
 def _contact_surface(twin: Twin) -> SurfacePoints | None:
     """Points at which obstacles act: on the surface that the capture states, not on the nodes of a mesh."""
     if not twin.scene.obstacles:
@@ -330,7 +310,7 @@ def _followed_again(run: RefinementRun, problem: Problem, start: Fit, coarse: Fu
     """The problem with points followed again from their positions in the fitted model."""
 
     def move(points: np.ndarray) -> np.ndarray:
-        return replace(coarse or problem.reduced(), points=points).positions(start.values)
+        return replace(coarse or problem.reduced, points=points).positions(start.values)
 
     return replace(problem, observed=problem.observed.followed_again(run, problem.twin, move))
 
@@ -380,7 +360,7 @@ def _corrected(run: RefinementRun, problem: Problem, start: Fit, *, last: bool) 
     def compute() -> Arrays:
         full, most = problem.full(run.memory), options.full_runs
         if not options.own_derivatives:
-            return arrays_of_correction(correct(problem.reduced(), full, problem.seen, start, max_runs=most))
+            return arrays_of_correction(correct(problem.reduced, full, problem.seen, start, max_runs=most))
         settings, look_around = FULL_OPTIONS if last else START_OPTIONS, problem.drift_limit is None
         return arrays_of_correction(
             fit_full(full, problem.weighted, start, max_runs=most, options=settings, look_around=look_around)

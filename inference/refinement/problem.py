@@ -90,6 +90,7 @@ class Problem:
         """The model's error by frame, from its positions on two meshes [m]; in standard deviations of the noise."""
         return _LEFT * frame_errors(self.seen, here, there)
 
+    @cached_property
     def reduced(self) -> ReducedModel:
         """The reduced model of the observed points."""
         return ReducedModel(self.twin, self.names, self.seen.points, self.frames)

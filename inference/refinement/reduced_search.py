@@ -22,11 +22,14 @@ from physconvex.identify import (
     TwinOptions,
     base_twin,
     coarse_mesh,
+    default_parameter,
     fit,
     scan,
     scan_values,
 )
+from physconvex.reduced import parameter_values
 
+HEIGHT = "floor_height"
 _MODULUS, _RATIO = "log10_youngs_modulus", "poisson_ratio"
 _WITHIN = 5e-3  # distance of the bounds of ν that is held
 _CHEAP_WEIGHTS = 6
@@ -99,7 +102,7 @@ class ReducedSearch:
         frames = problem.windows[0]
         cheap = replace(problem, twin=self._cheap(problem)).first(frames)
         found = scan(
-            cheap.reduced(), cheap.seen, problem.parameters,
+            cheap.reduced, cheap.seen, problem.parameters,
             moduli=where.moduli, ratios=where.ratios, workers=self.run.workers,
         )  # fmt: skip
         return arrays_of_scan(found, within=where.predicted)
@@ -121,7 +124,7 @@ class ReducedSearch:
         options = FitOptions()
         if self.run.options.own_derivatives:  # the full model follows: the last digits need not converge
             options = FitOptions(max_iterations=8, relative_tolerance=1e-3, absolute_tolerance=0.1)
-        return fit(problem.reduced(), problem.seen, start, options=options)
+        return fit(problem.reduced, problem.seen, start, options=options)
 
     def fit(self, name: str, problem: Problem, start: tuple[Parameter, ...]) -> Fit:
         """The fit of that stage, from a start."""
@@ -138,7 +141,7 @@ def _grown(cheap: Problem, options: FitOptions, start: tuple[Parameter, ...]) ->
         part = cheap.first(frames)
         free = start if frames == cheap.frames else tuple(p.held() if p.name == _RATIO else p for p in start)
         try:
-            found = fit(part.reduced(), part.seen, free, options=options)
+            found = fit(part.reduced, part.seen, free, options=options)
         except ConvergenceError:
             return None
         start = started_from(cheap.parameters, found)
@@ -224,6 +227,19 @@ def with_predicted_ratio(run: RefinementRun, problem: Problem) -> tuple[Problem,
         "(--prior poisson_ratio=MEAN,SIGMA) lets it be fitted."
     )
     return replace(problem, parameters=tuple(parameters.values())), sigma
+
+
+def with_free_height(run: RefinementRun, problem: Problem) -> Problem:
+    """The problem with the floor's height free within the error of the reconstructed body, which decides when it lands.
+
+    As it is with a given body, without a floor, and where the user states the height.
+    """
+    made, twin = run.reconstruction, problem.twin
+    if made is None or made.error is None or not twin.may_strike or run.options.states(HEIGHT):
+        return problem
+    height = float(parameter_values(twin.scene, [HEIGHT])[0])
+    free = replace(default_parameter(HEIGHT, start=height), prior_mean=height, prior_sigma=made.error.deviation)
+    return replace(problem, parameters=(*problem.parameters, free))
 
 
 def _around(found: StageEstimate) -> tuple[tuple[float, ...], tuple[float, ...]]:

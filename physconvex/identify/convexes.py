@@ -1,13 +1,12 @@
 """The convex twin: a body sampled within the hulls of its convex field, moved by skinning weights, without a mesh.
 
 The samples of the solid (`physconvex.convex.union_samples`) carry mass and energy; the surface carries the contact. The
-weights W^θ may come from vibration modes and contact responses, from eigenmodes, from the data-free training of the
-paper's eq. 4, or from a network's prediction. A mesh of few nodes serves only to find the modes.
+weights W^θ may come from vibration modes, contact responses and a motion of the full model, from eigenmodes, from the
+data-free training of the paper's eq. 4, or from a network's prediction. A mesh of few nodes serves only to find them.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -16,14 +15,16 @@ import trimesh
 
 from physconvex.convex import ConvexField, union_samples
 from physconvex.errors import InputError
+from physconvex.identify.model import FullModel
 from physconvex.identify.twin import Twin, smooth_weights, with_body
 from physconvex.reduced import (
     NodalWeights,
     ReducedBody,
     ReducedSpace,
     WeightField,
+    parameter_values,
     train_neural_weights,
-    with_elastic_weights,
+    weights_for_motion,
 )
 
 Basis = Literal["elastic", "eigenmodes", "neural"]
@@ -44,8 +45,9 @@ def convex_twin(
         twin: the base twin; its surface must be closed.
         field: convexes of the body at rest [m], whose gaps are filled; fields of fewer than six points per convex give
             the surface's inside.
-        basis: the skinning weights: `elastic` (vibration modes and responses to contacts, see
-            `physconvex.reduced.with_elastic_weights`), `eigenmodes`, `neural` (trained on the body alone), or given.
+        basis: the skinning weights: `elastic` (vibration modes, responses to contacts, and the motion of the full model
+            on the twin's mesh, see `physconvex.reduced.weights_for_motion`), `eigenmodes`, `neural` (trained on the
+            body alone), or given.
         weights: number M of the weights, if they are not given.
         moving: the twin whose motion shows the contacts; this one unless given.
 
@@ -85,7 +87,11 @@ def skinning_weights(twin: Twin, basis: Literal["elastic", "eigenmodes"], count:
         raise InputError(f"basis: got {basis!r}; expected one of {', '.join(get_args(Basis))}")
     if basis == "eigenmodes":
         return smooth_weights(twin.mesh, count, twin.clamp)
-    timing = replace(twin.timing(), frames=twin.capture.observed_frames)
-    found = with_elastic_weights(twin.scene, twin.mesh, count, timing).body.space.field
-    assert isinstance(found, NodalWeights)
-    return found
+    body, names = twin.full_scene().body, ("log10_youngs_modulus",)
+    model = FullModel(twin, names, twin.mesh.vertices, twin.capture.observed_frames)
+    positions = model.node_positions(parameter_values(twin.scene, names))
+    times, held = np.arange(len(positions)) / twin.fps, None
+    if twin.clamp is not None:
+        held = np.zeros(len(twin.mesh.vertices), dtype=bool)
+        held[twin.clamp.nodes] = True
+    return weights_for_motion(body, count, positions, times, twin.scene.obstacles, clamped=held, spanned=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
+from physconvex.errors import InputError
 from physconvex.mesh.embedding import contains
 from physconvex.mesh.stuffing import SignedDistance
 from physconvex.mesh.tet_mesh import TetMesh
@@ -57,6 +58,24 @@ def with_fewer_triangles(
     fewer = surface.decimate(1.0 - count / len(faces), volume_preservation=True)
     corners = np.asarray(fewer.faces).reshape(-1, 4)[:, 1:]
     return np.asarray(fewer.points, dtype=np.float64), np.ascontiguousarray(corners, dtype=np.int32)
+
+
+def simplified_within(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], tolerance: float
+) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"]]:
+    """A closed surface with its edges collapsed as long as it stays within a distance [m]; closed again (Manifold).
+
+    Raises:
+        InputError: the surface is not closed.
+    """
+    from manifold3d import Error, Manifold, Mesh64
+
+    vertices, faces = with_merged_vertices(vertices, faces)
+    body = Manifold(Mesh64(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, dtype=np.uint64)))
+    if body.status() != Error.NoError:
+        raise InputError(f"surface: not closed ({body.status().name}); expected every edge between two triangles")
+    fewer = body.simplify(tolerance).to_mesh64()
+    return np.asarray(fewer.vert_properties)[:, :3].copy(), np.asarray(fewer.tri_verts, dtype=np.int64)
 
 
 def surface_distance(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> SignedDistance:

@@ -42,6 +42,7 @@ from .scene_weights import (
     even_loads as even_loads,
     held_nodes as held_nodes,
     touched_loads as touched_loads,
+    weights_for_motion as weights_for_motion,
     with_elastic_weights as with_elastic_weights,
 )
 from .sensitivity import NamedParameters as NamedParameters

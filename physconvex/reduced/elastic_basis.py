@@ -29,6 +29,7 @@ def elastic_weights(
     clamped: Bool[np.ndarray, " V"] | None = None,
     vibrations: int = 30,
     states: Float[np.ndarray, "S V 3"] | None = None,
+    motion: Float[np.ndarray, "T V 3"] | None = None,
 ) -> NodalWeights:
     """Weights whose products with [X; 1] span a body's first vibration modes and its responses to forces.
 
@@ -46,10 +47,12 @@ def elastic_weights(
         vibrations: number of elastic vibrations, fewer on a small mesh.
         states: positions of the nodes [m] in deformed states with further responses, each rotated back. The vibrations
             about the last one, the most deformed, are added too. A squashed limb responds differently than at rest.
+        motion: positions of the nodes [m] in a motion that the weights have to represent, for example one of the full
+            model at about the right E; it counts as much as all vibrations and responses together.
 
     Raises:
-        InputError: loads, nodes or states of another shape, `count` not in 1..64 or larger than vibrations and
-        responses permit.
+        InputError: loads, nodes, states or a motion of another shape, `count` not in 1..64 or larger than all these
+        permit.
     """
     if not 1 <= count <= MAX_WEIGHTS:
         raise InputError(f"count: got {count}; expected 1 to {MAX_WEIGHTS} weights")
@@ -63,6 +66,8 @@ def elastic_weights(
     deformed = np.zeros((0, *vertices.shape)) if states is None else np.asarray(states)
     if deformed.ndim != 3 or deformed.shape[1:] != vertices.shape or not np.isfinite(deformed).all():
         raise InputError(f"states: got shape {deformed.shape}; expected finite [S, {len(vertices)}, 3]")
+    if motion is not None and (np.ndim(motion) != 3 or np.shape(motion)[1:] != vertices.shape):
+        raise InputError(f"motion: got shape {np.shape(motion)}; expected [T, {len(vertices)}, 3]")
     if not held.any():
         deformed = np.array([x @ best_rotation(vertices, x, body.node_masses) for x in deformed])
     moved = [_vibrations(body, vibrations, held, state) for state in (None, *deformed[-1:])]
@@ -72,7 +77,8 @@ def elastic_weights(
         shares = np.sqrt(sizes / sizes.mean())[:, None, None]
         moved += [shares * elastic_responses(body, forces, state, clamped=held) for state in (None, *deformed)]
     fields = np.moveaxis(np.concatenate(moved), 1, 0).reshape(len(vertices), -1)
-    weights = _covering_weights(fields, vertices, body, count)
+    followed = None if motion is None else np.moveaxis(np.asarray(motion), 1, 0).reshape(len(vertices), -1)
+    weights = _covering_weights(fields, vertices, body, count, followed)
     square = np.einsum("vk,vk->k", weights, body.mass @ weights)
     return NodalWeights(body.mesh, weights * np.sqrt(body.total_mass / square))
 
@@ -91,12 +97,21 @@ def _vibrations(
     return shapes[rigid:] * amplitudes[:, None, None]
 
 
-def _covering_weights(fields: np.ndarray, vertices: np.ndarray, body: ElasticBody, count: int) -> np.ndarray:
+def _covering_weights(
+    fields: np.ndarray, vertices: np.ndarray, body: ElasticBody, count: int, motion: np.ndarray | None
+) -> np.ndarray:
     """Weights at the nodes whose products with [X; 1] approximate scalar fields best, best first, [V, M]."""
     stiffness, mass = skinning_stiffness(body), body.mass
     norm = stiffness + 1e-3 * stiffness.diagonal().sum() / mass.diagonal().sum() * mass  # the constant is a field too
     homogeneous = np.column_stack([(vertices - vertices.mean(0)) / body.mesh.size, np.ones(len(vertices))])
-    weighted, given = norm @ fields, principal_fields(homogeneous, norm)
+    given = principal_fields(homogeneous, norm)
+    if motion is not None:
+        squares = [
+            float(np.einsum("vk,vk->", one, norm @ one))
+            for one in (f - given @ (given.T @ (norm @ f)) for f in (fields, motion))
+        ]
+        fields = np.hstack([fields, motion * np.sqrt(squares[0] / squares[1])]) if squares[1] > 0 else fields
+    weighted = norm @ fields
     largest, weights = float(np.einsum("vk,vk->k", fields, weighted).max()), np.zeros((len(vertices), 0))
     while weights.shape[1] < count:
         left = fields - given @ (given.T @ weighted)

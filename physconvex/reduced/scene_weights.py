@@ -13,6 +13,7 @@ from physconvex.dynamics import Obstacle, Pins, Timing, simulate
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody
 from physconvex.mesh import TetMesh
+from physconvex.reduced.basis import NodalWeights
 from physconvex.reduced.elastic_basis import elastic_weights
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.space import ReducedSpace
@@ -32,9 +33,7 @@ def with_elastic_weights(
     """The scene with weights from its body's vibration modes and its responses to forces at its contacts.
 
     A roll-out of the given scene finds the contacts. A second roll-out with the weights found refines them, since a
-    body that lands differently touches elsewhere. The responses are those about the rest state, about the frame of that
-    roll-out with the largest deformation, and about the one half-way to it, with the scene's pins held. Without
-    contacts and pins, patches all over the surface are loaded, at rest.
+    body that lands differently touches elsewhere. See `weights_for_motion`; the scene's pins are held.
 
     Args:
         scene: with a rough body, for example of twenty eigenmodes.
@@ -68,19 +67,47 @@ def with_elastic_weights(
     for _ in range(passes):
         run = simulate(scene, timing)
         positions = run.positions(mesh.vertices)
-        loads = touched_loads(mesh, positions, run.times, scene.obstacles, count=loaded)
-        if held is not None:
-            loads = loads[:, ~loads[held].any(0)]  # forces on held nodes have no effect
-        alone = held is None and not loads.size
-        if alone:
-            weights = elastic_weights(elastic, count, even_loads(mesh, _PATCHES))
-        else:
-            weights = elastic_weights(elastic, count, loads, clamped=held, states=most_deformed(elastic, positions))
-        space = ReducedSpace(weights, body.space.samples, interpolated=True)
-        scene = replace(scene, body=body.with_space(space))
-        if alone:
-            break
+        weights = weights_for_motion(elastic, count, positions, run.times, scene.obstacles, clamped=held, loaded=loaded)
+        scene = replace(scene, body=body.with_space(ReducedSpace(weights, body.space.samples, interpolated=True)))
     return scene
+
+
+def weights_for_motion(
+    body: ElasticBody,
+    count: int,
+    positions: Float[np.ndarray, "T V 3"],
+    times: Float[np.ndarray, " T"],
+    obstacles: Sequence[Obstacle],
+    *,
+    clamped: Bool[np.ndarray, " V"] | None = None,
+    loaded: int = 60,
+    spanned: bool = False,
+) -> NodalWeights:
+    """Weights from vibrations, and from responses to forces where a motion touches obstacles (`elastic_weights`).
+
+    The responses are those at rest and about the most deformed frames (`most_deformed`). A free body that touches
+    nothing is loaded all over its surface, at rest.
+
+    Args:
+        body: the body.
+        count: M, number of weights.
+        positions: of its nodes at the frames [m].
+        times: of the frames [s].
+        obstacles: planes and spheres.
+        clamped: nodes that are held.
+        loaded: most loaded nodes.
+        spanned: whether the weights have to represent the motion itself too: then it should be that of a full model.
+
+    Raises:
+        InputError: as `elastic_weights` and `touched_loads`.
+    """
+    loads = touched_loads(body.mesh, positions, times, obstacles, count=loaded)
+    if clamped is not None:
+        loads = loads[:, ~loads[clamped].any(0)]  # forces on held nodes have no effect
+    motion = positions if spanned else None
+    if clamped is None and not loads.size:
+        return elastic_weights(body, count, even_loads(body.mesh, _PATCHES), motion=motion)
+    return elastic_weights(body, count, loads, clamped=clamped, states=most_deformed(body, positions), motion=motion)
 
 
 def most_deformed(body: ElasticBody, positions: Float[np.ndarray, "T V 3"]) -> Float[np.ndarray, "S V 3"]:

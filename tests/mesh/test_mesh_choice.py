@@ -16,7 +16,7 @@ from physconvex.mesh import (
     with_volume,
 )
 from physconvex.mesh.mesh_cache import cached_or_made
-from physconvex.mesh.surfaces import with_fewer_triangles
+from physconvex.mesh.surfaces import simplified_within, surface_distance, with_fewer_triangles
 
 SIZE = (0.4, 0.2, 0.1)
 
@@ -195,3 +195,23 @@ def test_seams_close(box):
 def test_a_simplified_mesh_wants_a_closed_surface(box):
     with pytest.raises(InputError, match="close it"):
         tetrahedralize((box[0], box[1][1:]), method="simplified")
+
+
+def test_a_dense_surface_is_simplified_before_it_is_meshed(monkeypatch):
+    """It stays closed and within the distance; the mesh has the volume of the surface as it was given."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
+    vertices, faces = np.asarray(ball.vertices) * [1.0, 1.0, 2.0], np.asarray(ball.faces)
+    fewer = simplified_within(vertices, faces, 1e-3)
+    volume = enclosed_volume(vertices, faces)
+    assert len(fewer[1]) < 0.5 * len(faces)
+    assert enclosed_volume(*fewer) == pytest.approx(volume, rel=0.02)
+    assert np.abs(surface_distance(vertices, faces)(fewer[0])).max() < 1e-3
+    with pytest.raises(InputError, match="not closed"):
+        simplified_within(vertices, faces[1:], 1e-3)
+    given = []
+    real = meshing.tetrahedralize
+    monkeypatch.setattr(meshing, "_DENSE", len(faces) - 1)
+    monkeypatch.setattr(meshing, "tetrahedralize", lambda pair, **how: given.append(len(pair[1])) or real(pair, **how))
+    mesh = meshing.mesh_of_few_nodes(vertices, faces, max_nodes=200)
+    assert max(given) < 0.5 * len(faces)
+    assert enclosed_volume(*mesh.surface) == pytest.approx(volume, rel=2e-3)
