@@ -87,8 +87,8 @@ class RefineOptions(Options):
     weights: Annotated[int, Field(ge=1), _MODEL] = 20
     """Number of skinning weights of the reduced model."""
     basis: Annotated[Literal["elastic", "eigenmodes", "neural", "predicted"], _MODEL] = "elastic"
-    """Skinning weights of the convex twin: elastic (vibrations and responses to contacts), eigenmodes, neural (trained
-    on the body alone), or predicted by the network."""
+    """Skinning weights of the convex twin: elastic (vibrations, responses to contacts, and a motion of the full model),
+    eigenmodes, neural (trained on the body alone), or predicted by the network."""
     fit_weights: Annotated[int, Field(ge=0), _MODEL] = 0
     """How often the network of the weights (basis neural) is fitted to the finest images, E and ν after it; held near
     the energy that it was trained with."""
