@@ -40,12 +40,12 @@ from physconvex.numerics import one_torch_thread
 from physconvex.reduced import NeuralWeights, NodalWeights, PredictedField, WeightField, predicted_weights
 
 CONVEX = "convex twin"
-_FIRST, _FINER = (FitOptions(max_iterations=n, relative_tolerance=1e-3) for n in (8, 5))  # also after fits of weights
+_OPTIONS = FitOptions(max_iterations=5, relative_tolerance=1e-3)  # later steps move E by less than 0.01 decades
 _DRIFTS = (0.01, 0.03, 0.1, 0.3)  # of the speed at the contact: deviations of each later frame's change of velocity
 _ENOUGH = 1.5  # the smallest drift is taken whose least misfit is at most so many times that of any
 _MODULUS = "log10_youngs_modulus"
 _STEPS, _MOVES, _NEAR = (0.2, 0.1), 6, 0.31  # decades: of the search of E, most of each; part of the parabola
-_MOST_HEIGHT = 2.0  # deviations of the floor's height that are tried
+_HEIGHTS = (-2.0, -1.0, 0.0, 1.0, 2.0)  # of the floor that are compared [deviations from its mean]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,16 +107,14 @@ def _fitted(
     problem, found = _begun(run, replace(problem, twin=_twin(run, problem, start, rest.field)), start, candidates)
     followed = problem.observed
     if not run.options.colours:
-        found = run.fit("convex_followed", problem.parameters, partial(_search, problem, found, _FIRST))
-    options = _FIRST
+        found = run.fit("convex_followed", problem.parameters, partial(_search, problem, found))
     for pixels in run.options.pixels if run.options.colours else ():
         problem = replace(problem, observed=_beside(followed, _photometric(run, cameras, rest.field, pixels)))
         problem = _seen_in(problem, found)
-        found = run.fit(f"convex_{pixels}", problem.parameters, partial(_search, problem, found, options))
-        options = _FINER
+        found = run.fit(f"convex_{pixels}", problem.parameters, partial(_search, problem, found))
     for turn in range(run.options.fit_weights):
         problem = _with_fitted_weights(run, problem, found, f"convex_weights_{turn}")
-        found = run.fit(f"convex_turn_{turn}", problem.parameters, partial(_search, problem, found, _FINER))
+        found = run.fit(f"convex_turn_{turn}", problem.parameters, partial(_search, problem, found))
     return ConvexFit(problem, found, ratio_sigma)
 
 
@@ -199,37 +197,44 @@ def _searched(run: RefinementRun, problem: Problem, values: np.ndarray) -> np.nd
             last, best = best, max(tried, key=lambda modulus: tried[modulus][0])
             if best == last:
                 break
-    near = [(m, found[0]) for m, found in tried.items() if abs(m - best) <= _NEAR and np.isfinite(found[0])]
-    found = tried[best][1]
-    return _replaced(found, place, best + _vertex(near, best, _NEAR)) if len(near) > 3 else found
+    near = sorted(m for m in tried if abs(m - best) <= _NEAR and np.isfinite(tried[m][0]))
+    if not near:
+        return values
+    if len(near) > 3:
+        best = _top(near, [tried[m][0] for m in near], (best - _NEAR, best + _NEAR))[0]
+    columns = np.array([tried[m][1] for m in near]).T  # a height of the floor goes with its E
+    return np.array([np.interp(best, near, column) for column in columns])
 
 
 def _at_best_height(problem: Problem, values: np.ndarray) -> tuple[float, np.ndarray]:
-    """Log-likelihood of values with the most likely height of the floor, its prior included, and these values."""
+    """Log-likelihood of values with the most likely height of the floor, its prior included, and these values.
+
+    Motions at other heights lie on the line through those at one deviation below and above the mean.
+    """
     if HEIGHT not in problem.names or is_held(problem.parameters[problem.names.index(HEIGHT)]):
         return _likelihood(problem, values), values
     place = problem.names.index(HEIGHT)
     mean, sigma = problem.parameters[place].prior_mean, problem.parameters[place].prior_sigma
-    tried = list[tuple[float, float]]()
-
-    def try_at(height: float) -> None:
-        prior = 0.5 * ((height - mean) / sigma) ** 2
-        tried.append((height, _likelihood(problem, _replaced(values, place, height)) - prior))
-
-    for height in (mean - sigma, mean, mean + sigma):
-        try_at(height)
-    try_at(mean + _vertex([pair for pair in tried if np.isfinite(pair[1])], mean, _MOST_HEIGHT * sigma))
-    height, likelihood = max(tried, key=lambda pair: pair[1])
-    return likelihood, _replaced(values, place, height)
+    try:
+        low, high = (problem.reduced.positions(_replaced(values, place, mean + side * sigma)) for side in (-1, 1))
+    except ConvergenceError:
+        return -np.inf, values
+    likelihoods = [_likely(problem, 0.5 * (low + high + z * (high - low))) - 0.5 * z**2 for z in _HEIGHTS]
+    middle = min(max(int(np.argmax(likelihoods)), 1), len(_HEIGHTS) - 2)
+    first, last = middle - 1, middle + 2
+    height, likelihood = _top(_HEIGHTS[first:last], likelihoods[first:last], (_HEIGHTS[0], _HEIGHTS[-1]))
+    return likelihood, _replaced(values, place, mean + height * sigma)
 
 
-def _vertex(pairs: Sequence[tuple[float, float]], origin: float, most: float) -> float:
-    """Place of the maximum of a parabola through places and heights, from an origin; 0 if it has none."""
-    if len(pairs) < 3:
-        return 0.0
-    places, heights = np.array(pairs).T
-    curvature, slope, _ = np.polyfit((places - origin) / most, heights, 2)
-    return most * float(np.clip(-slope / (2 * curvature), -1.0, 1.0)) if curvature < 0 else 0.0
+def _top(places: Sequence[float], values: Sequence[float], within: tuple[float, float]) -> tuple[float, float]:
+    """Place and value of the top of a parabola through values, within bounds; of the largest, if it has none."""
+    middle = float(np.mean(places))
+    curve = np.polyfit(np.subtract(places, middle), values, 2)
+    if curve[0] >= 0:
+        best = int(np.argmax(values))
+        return places[best], values[best]
+    top = float(np.clip(middle - 0.5 * curve[1] / curve[0], *within))
+    return top, float(np.polyval(curve, top - middle))
 
 
 def _replaced(values: np.ndarray, place: int, value: float) -> np.ndarray:
@@ -241,9 +246,12 @@ def _replaced(values: np.ndarray, place: int, value: float) -> np.ndarray:
 def _likelihood(problem: Problem, values: np.ndarray) -> float:
     """Log-likelihood of values, the drift integrated out; −∞ if the body cannot be simulated."""
     try:
-        positions = problem.reduced.positions(values)
+        return _likely(problem, problem.reduced.positions(values))
     except ConvergenceError:
         return -np.inf
+
+
+def _likely(problem: Problem, positions: np.ndarray) -> float:
     seen = problem.seen
     return seen.log_likelihood(positions) if isinstance(seen, RigidDriftObservations) else -misfit_of(seen, positions)
 
@@ -308,14 +316,14 @@ def _seen_in(problem: Problem, found: Fit) -> Problem:
     return replace(problem, observed=replace(problem.observed, observations=StackedObservations.of(parts)))
 
 
-def _search(problem: Problem, found: Fit, options: FitOptions) -> Fit:
+def _search(problem: Problem, found: Fit) -> Fit:
     """The fit at one scale. Derivatives are computed once, and updated with every step."""
     model, seen = problem.reduced, problem.seen
     positions, tangents = model.linearise(found.values)
     if isinstance(seen, RigidDriftObservations):
         seen = seen.begun_at(positions)
     secant = SecantModel(model, found.values, positions, tangents, scales=step_scales(problem.parameters))
-    return fit(secant, seen, started_from(problem.parameters, found), options=options)
+    return fit(secant, seen, started_from(problem.parameters, found), options=_OPTIONS)
 
 
 def _masked(run: RefinementRun, problem: Problem) -> tuple[Camera, ...]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from inference.refinement import convex_stage
+from physconvex import ConvergenceError
 from physconvex.identify import Parameter
 
 MODULUS, HEIGHT = "log10_youngs_modulus", "floor_height"
@@ -16,7 +17,8 @@ def problem(sigma: float) -> SimpleNamespace:
         Parameter(MODULUS, 5.0, 3.0, 8.0, 0.2),
         Parameter(HEIGHT, 0.0, step=0.01, prior_mean=0.0, prior_sigma=sigma),
     )
-    return SimpleNamespace(names=(MODULUS, HEIGHT), parameters=parameters)
+    model = SimpleNamespace(positions=lambda values: values.copy())  # as if positions were the values
+    return SimpleNamespace(names=(MODULUS, HEIGHT), parameters=parameters, reduced=model)
 
 
 def valley(_: SimpleNamespace, values: np.ndarray) -> float:
@@ -28,7 +30,7 @@ def valley(_: SimpleNamespace, values: np.ndarray) -> float:
 @pytest.mark.parametrize(("sigma", "modulus"), [(0.005, 5.3), (1e-6, 5.46)])
 def test_each_modulus_is_judged_with_its_own_height_of_the_floor(monkeypatch, sigma, modulus):
     """At a height that is held, the maximum along E alone is 0.16 too high."""
-    monkeypatch.setattr(convex_stage, "_likelihood", valley)
+    monkeypatch.setattr(convex_stage, "_likely", valley)
     run = SimpleNamespace(workers=SimpleNamespace(map=lambda function, values: [function(v) for v in values]))
     found = convex_stage._searched(run, problem(sigma), np.array([4.9, 0.0]))
     assert found[0] == pytest.approx(modulus, abs=0.02)
@@ -42,12 +44,16 @@ def test_heights_beyond_two_deviations_are_not_tried(monkeypatch):
         tried.append(values[1])
         return -1e6 * (values[1] + 0.1) ** 2
 
-    monkeypatch.setattr(convex_stage, "_likelihood", lower)
+    monkeypatch.setattr(convex_stage, "_likely", lower)
     likelihood, values = convex_stage._at_best_height(problem(0.01), np.array([5.0, 0.0]))
     assert values[1] == pytest.approx(-0.02) and min(tried) >= -0.02 - 1e-9
     assert likelihood == pytest.approx(-1e6 * 0.08**2 - 2.0)
 
 
-def test_a_body_that_fails_at_a_height_is_judged_at_the_others(monkeypatch):
-    monkeypatch.setattr(convex_stage, "_likelihood", lambda _, v: -np.inf if v[1] > 0 else -1.0 - (100.0 * v[1]) ** 2)
-    assert convex_stage._at_best_height(problem(0.01), np.array([5.0, 0.0]))[1][1] == 0.0
+def test_a_body_that_fails_is_the_least_likely():
+    def fails(values: np.ndarray) -> np.ndarray:
+        raise ConvergenceError("turned inside out")
+
+    broken = problem(0.01)
+    broken.reduced.positions = fails
+    assert convex_stage._at_best_height(broken, np.array([5.0, 0.0]))[0] == -np.inf

@@ -168,7 +168,7 @@ def test_the_convex_twin_alone_tells_the_material_from_the_pixels(folder, tmp_pa
 
 @pytest.mark.slow
 def test_the_network_of_the_weights_is_fitted_to_the_pixels(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("inference.refinement.convex_stage._FIRST", FitOptions(max_iterations=3))
+    monkeypatch.setattr("inference.refinement.convex_stage._OPTIONS", FitOptions(max_iterations=3))
     start = {"log10_youngs_modulus": 4.4, "poisson_ratio": 0.35}
     options = RefineOptions(initial=start, **FEW, stop_after="convex", basis="neural", fit_weights=1)
     stages = []
