@@ -9,10 +9,10 @@ import typer
 from typer.testing import CliRunner
 
 from inference import RefineOptions
-from inference.refinement import coarse_start, pipeline
+from inference.refinement import coarse_start, reduced_search
 from inference.refinement.command import refine_command
 from inference.refinement.problem import Problem, moved_inside
-from inference.refinement.reduced_search import predicted, scan_range, with_predicted_ratio
+from inference.refinement.reduced_search import predicted, scan_range, with_free_height, with_predicted_ratio
 from inference.refinement.stages import RefinementRun, Stages, arrays_of_scan
 from physconvex import InputError
 from physconvex.identify import Candidate, Fit, MarkerObservations, default_parameter
@@ -194,13 +194,13 @@ def test_no_processes_are_refused_by_the_command_too(tmp_path):
 
 @pytest.mark.wrong_types
 def test_the_floor_s_height_is_free_for_a_body_from_pictures_unless_the_user_holds_it(monkeypatch):
-    monkeypatch.setattr(pipeline, "parameter_values", lambda scene, names: np.array([0.2]))
+    monkeypatch.setattr(reduced_search, "parameter_values", lambda scene, names: np.array([0.2]))
     problem = Problem(SimpleNamespace(may_strike=True, scene=None), free_parameters(), None)
     made = SimpleNamespace(error=SimpleNamespace(deviation=0.007))
 
     def of(reconstruction, options):
         run = SimpleNamespace(reconstruction=reconstruction, options=options)
-        return pipeline._with_free_height(run, problem)
+        return with_free_height(run, problem)
 
     free = of(made, RefineOptions()).parameters[-1]
     assert (free.name, free.start, free.prior_mean, free.prior_sigma) == ("floor_height", 0.2, 0.2, 0.007)
