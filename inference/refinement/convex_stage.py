@@ -40,7 +40,7 @@ from physconvex.numerics import one_torch_thread
 from physconvex.reduced import NeuralWeights, NodalWeights, PredictedField, WeightField, predicted_weights
 
 CONVEX = "convex twin"
-_OPTIONS = FitOptions(max_iterations=5, relative_tolerance=1e-3)  # later steps move E by less than 0.01 decades
+_OPTIONS = FitOptions(max_iterations=5, relative_tolerance=1e-3)  # of drops from rest, later ones move E by under 0.01
 _DRIFTS = (0.01, 0.03, 0.1, 0.3)  # of the speed at the contact: deviations of each later frame's change of velocity
 _ENOUGH = 1.5  # the smallest drift is taken whose least misfit is at most so many times that of any
 _MODULUS = "log10_youngs_modulus"

@@ -36,6 +36,13 @@ class Clamp:
     nodes: Int[np.ndarray, " C"]
     motion: Callable[[float], Float[np.ndarray, "C 3"]] | None = None
 
+    @property
+    def held(self) -> Bool[np.ndarray, " V"]:
+        """Which nodes of the mesh are held."""
+        found = np.zeros(len(self.mesh.vertices), dtype=bool)
+        found[self.nodes] = True
+        return found
+
     def node_pins(self) -> NodePins:
         """For the full model: the nodes are prescribed."""
         return NodePins(self.nodes, self.motion)

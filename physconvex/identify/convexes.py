@@ -90,8 +90,5 @@ def skinning_weights(twin: Twin, basis: Literal["elastic", "eigenmodes"], count:
     body, names = twin.full_scene().body, ("log10_youngs_modulus",)
     model = FullModel(twin, names, twin.mesh.vertices, twin.capture.observed_frames)
     positions = model.node_positions(parameter_values(twin.scene, names))
-    times, held = np.arange(len(positions)) / twin.fps, None
-    if twin.clamp is not None:
-        held = np.zeros(len(twin.mesh.vertices), dtype=bool)
-        held[twin.clamp.nodes] = True
+    times, held = np.arange(len(positions)) / twin.fps, None if twin.clamp is None else twin.clamp.held
     return weights_for_motion(body, count, positions, times, twin.scene.obstacles, clamped=held, spanned=True)

@@ -138,8 +138,7 @@ def smooth_weights(mesh: TetMesh, count: int, clamp: Clamp | None) -> NodalWeigh
     body = ElasticBody(mesh)
     if clamp is None:
         return eigenmode_weights(body, count)
-    held = np.zeros(len(mesh.vertices), dtype=bool)
-    held[clamp.nodes] = True
+    held = clamp.held
     return elastic_weights(body, min(count, max(1, int((~held).sum()) // _NODES_PER_WEIGHT)), clamped=held)
 
 

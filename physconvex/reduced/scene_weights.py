@@ -69,6 +69,8 @@ def with_elastic_weights(
         positions = run.positions(mesh.vertices)
         weights = weights_for_motion(elastic, count, positions, run.times, scene.obstacles, clamped=held, loaded=loaded)
         scene = replace(scene, body=body.with_space(ReducedSpace(weights, body.space.samples, interpolated=True)))
+        if held is None and not scene.obstacles:  # nothing to land on: another roll-out finds the same
+            break
     return scene
 
 
