@@ -25,6 +25,7 @@ from .surfaces import (
     enclosed_volume as enclosed_volume,
     overlap as overlap,
     surface_distance as surface_distance,
+    with_fewer_triangles as with_fewer_triangles,
     with_merged_vertices as with_merged_vertices,
 )
 from .tet_mesh import (
