@@ -45,6 +45,7 @@ _DRIFTS = (0.01, 0.03, 0.1, 0.3)  # of the speed at the contact: deviations of e
 _ENOUGH = 1.5  # the smallest drift is taken whose least misfit is at most so many times that of any
 _MODULUS = "log10_youngs_modulus"
 _STEPS, _MOVES, _NEAR = (0.2, 0.1), 6, 0.31  # decades: of the search of E, most of each; part of the parabola
+_LEAST_FLIGHT = 3  # frames from which the motion at t = 0 is told
 _HEIGHTS = (-2.0, -1.0, 0.0, 1.0, 2.0)  # of the floor that are compared [deviations from its mean]
 
 
@@ -165,6 +166,7 @@ def _with_drift(problem: Problem, drift: tuple[float, ...]) -> Problem:
 def _started(run: RefinementRun, problem: Problem, candidates: Sequence[np.ndarray]) -> Arrays:
     surface = problem.twin.scene.body.space.samples.surface_points if problem.twin.may_strike else np.zeros((0, 3))
     model = replace(problem.reduced, points=np.concatenate([problem.reduced.points, surface]))
+    candidates = _in_flight(problem, model, candidates)
     trials = run.workers.map(partial(_likelihoods_by_drift, problem, model, run.options.drift), candidates)
     if not any(np.isfinite(likelihoods).any() for likelihoods, _ in trials):
         raise ConvergenceError("convex twin: the body cannot be simulated at any start")
@@ -174,6 +176,26 @@ def _started(run: RefinementRun, problem: Problem, candidates: Sequence[np.ndarr
     if _MODULUS in problem.names:
         values = _searched(run, _with_drift(problem, drift), values)
     return {"values": values, "drift": np.array(drift)}
+
+
+def _in_flight(problem: Problem, model: ReducedModel, candidates: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The candidates with the motion at t = 0, where it is free, that the frames before the first contact tell.
+
+    There the material does not matter, while a worse model has traded the motion for its rebound. The motion of the
+    first candidate tells the contact, and again that of the fit, until the contact comes no earlier.
+    """
+    moving = np.array([name.startswith("initial_") for name in problem.names])
+    if not moving.any() or not problem.twin.may_strike:
+        return list(candidates)
+    values, last = np.array(candidates[0]), problem.frames
+    while True:
+        begin = _contact(problem, model.positions(values))
+        if begin is None or not _LEAST_FLIGHT <= begin < last:
+            return [np.where(moving, values, other) for other in candidates]
+        flight, last = problem.first(begin), begin
+        started = zip(problem.parameters, values, moving, strict=True)
+        start = tuple(p.at(v) if m else p.at(v).held() for p, v, m in started)
+        values = fit(flight.reduced, flight.seen, start, options=_OPTIONS).values
 
 
 def _searched(run: RefinementRun, problem: Problem, values: np.ndarray) -> np.ndarray:
@@ -283,20 +305,26 @@ def _likelihoods_by_drift(
         both = model.positions(values)
     except ConvergenceError:
         return [-np.inf], [None]
-    positions, moved = np.split(both, [len(problem.seen.points)], axis=1)
+    positions = both[:, : len(problem.seen.points)]
     likelihoods: list[float] = [-misfit_of(problem.seen, positions)]
     sizes: list[tuple[int, float] | None] = [None]
     if not drifts or not twin.may_strike:
         return likelihoods, sizes
-    begin = first_contact(moved, twin.scene.obstacles, np.arange(len(moved)) / twin.fps, twin.scene.gravity)
-    if begin is None or begin >= len(moved):
+    begin = _contact(problem, both)
+    if begin is None or begin >= len(both):
         return likelihoods, sizes
-    speed = twin.fps * float(np.linalg.norm((moved[begin] - moved[begin - 1]).mean(axis=0)))
+    speed = twin.fps * float(np.linalg.norm((both[begin] - both[begin - 1])[positions.shape[1] :].mean(axis=0)))
     for share in _DRIFTS:
         one = RigidDriftObservations(problem.undrifted, begin, 1 / twin.fps, share * speed)
         likelihoods.append(one.log_likelihood(positions))
         sizes.append((begin, share * speed))
     return likelihoods, sizes
+
+
+def _contact(problem: Problem, positions: np.ndarray) -> int | None:
+    """First frame with a contact, from positions of the observed points and, after them, of those of the surface."""
+    twin, moved = problem.twin, positions[:, len(problem.seen.points) :]
+    return first_contact(moved, twin.scene.obstacles, np.arange(len(moved)) / twin.fps, twin.scene.gravity)
 
 
 def _beside(followed: Observed, pixels: Observed) -> Observed:
