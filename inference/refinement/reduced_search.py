@@ -232,13 +232,10 @@ def with_predicted_ratio(run: RefinementRun, problem: Problem) -> tuple[Problem,
 def with_free_height(run: RefinementRun, problem: Problem) -> Problem:
     """The problem with the floor's height free within the error of the reconstructed body, which decides when it lands.
 
-    As it is with a given body, without a floor, where the user states the height, and where the motion at t = 0 is
-    unknown too: a velocity makes up for a height, and the twin's few weights for neither.
+    As it is with a given body, without a floor, and where the user states the height.
     """
     made, twin = run.reconstruction, problem.twin
     if made is None or made.error is None or not twin.may_strike or run.options.states(HEIGHT):
-        return problem
-    if any(name.startswith("initial_") for name in problem.names):
         return problem
     height = float(parameter_values(twin.scene, [HEIGHT])[0])
     free = replace(default_parameter(HEIGHT, start=height), prior_mean=height, prior_sigma=made.error.deviation)
