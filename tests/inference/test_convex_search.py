@@ -1,13 +1,26 @@
-"""The convex twin's search over E, each with its own height of the floor."""
+"""The start of the convex twin: the motion before the contact, and E, each with its own height of the floor."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from inference.refinement import convex_stage
+from inference.refinement.observations import Observed
+from inference.refinement.problem import Problem
 from physconvex import ConvergenceError
-from physconvex.identify import Parameter
+from physconvex.identify import (
+    MarkerObservations,
+    Parameter,
+    ReducedModel,
+    StackedObservations,
+    TwinOptions,
+    base_twin,
+    default_parameter,
+)
+from physconvex.io import Capture, Floor, load_capture, save_capture
+from physconvex.mesh import TetMesh, box_mesh
 
 MODULUS, HEIGHT = "log10_youngs_modulus", "floor_height"
 
@@ -57,3 +70,27 @@ def test_a_body_that_fails_is_the_least_likely():
     broken = problem(0.01)
     broken.reduced.positions = fails
     assert convex_stage._at_best_height(broken, np.array([5.0, 0.0]))[0] == -np.inf
+
+
+def test_the_motion_before_the_contact_is_that_of_the_frames_before_it(tmp_path):
+    """A fit of a wrong material that has traded the speed for the rebound: the contact comes two frames too late."""
+    box, frames, fps = box_mesh((0.3, 0.2, 0.1), (2, 1, 1), order=1), 10, 48.0
+    tets = TetMesh(box.vertices + np.array([0, 0, 0.1]), box.tets)
+    still = {"initial_velocity": np.zeros(3), "initial_angular_velocity": np.zeros(3)}
+    floor = Floor(np.zeros(3), np.array([0.0, 0.0, 1.0]), friction=0.3)
+    save_capture(Capture(tmp_path / "box", fps, frames, frames, floor=floor, **still), tets=tets)
+    twin = base_twin(load_capture(tmp_path / "box"), TwinOptions(weights=3, steps_per_frame=4))
+    names, truth = (MODULUS, "initial_velocity_z", "initial_angular_velocity_x"), np.array([4.3, -0.6, 0.4])
+    seen = ReducedModel(twin, names, tets.vertices, frames)
+    markers = MarkerObservations(seen.points, seen.positions(truth), np.full((frames, len(seen.points)), 1e-4))
+    observed = Observed(StackedObservations.of([markers]), ("markers",))
+    problem = Problem(twin, tuple(default_parameter(name) for name in names), observed)
+    surface = twin.scene.body.space.samples.surface_points
+    model = replace(problem.reduced, points=np.concatenate([problem.reduced.points, surface]))
+    given = [np.array([5.2, -0.2, 0.1]), np.array([4.6, 0.0, 0.0])]
+    found = convex_stage._in_flight(problem, model, given)
+    for values, before in zip(found, given, strict=True):
+        assert values[0] == before[0]
+        assert values[1:] == pytest.approx(truth[1:], abs=1e-3)
+    alone = replace(problem, parameters=problem.parameters[:1])
+    assert convex_stage._in_flight(alone, model, [np.array([5.2])]) == [np.array([5.2])]
