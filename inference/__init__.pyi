@@ -1,5 +1,6 @@
 from .batch import BatchSummary as BatchSummary, predict_batch as predict_batch
 from .loading import load_clip as load_clip
+from .masks import find_masks as find_masks
 from .pictures import ClipPictures as ClipPictures, frame_strip as frame_strip, weight_maps as weight_maps
 from .prediction import Prediction as Prediction
 from .predictor import predict as predict

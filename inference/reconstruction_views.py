@@ -83,6 +83,6 @@ def _observation(capture: Capture, name: str) -> tuple[Observation, str]:
     if masks is None or not np.any(masks):
         raise InputError(
             f"camera {name!r}: no {name}_mask.mp4 or .png, no alpha channel, and its background is not plain, so the "
-            "object cannot be told from it; add a mask or images with alpha"
+            "object cannot be told from it; add a mask (physconvex masks finds those of videos) or images with alpha"
         )
     return observation_of(camera, frame, masks[0]), "plain background"

@@ -23,6 +23,7 @@ from .config import (
     KinematicsConfig as KinematicsConfig,
     NetworkConfig as NetworkConfig,
 )
+from .edge_cut import sharp_foreground as sharp_foreground
 from .encoder import load_pretrained_encoder as load_pretrained_encoder
 from .estimator import (
     ClipEstimate as ClipEstimate,

@@ -99,7 +99,7 @@ def _fitted(
         if run.options.stop_after is not None:
             raise InputError(
                 f"{run.capture.folder}: stop_after is 'convex', but there is no video with masks, or no convex field; "
-                "add CAMERA_mask.mp4 beside CAMERA.mp4, and leave the field on"
+                "add CAMERA_mask.mp4 beside CAMERA.mp4 (physconvex masks finds it), and leave the field on"
             )
         return None
     problem, ratio_sigma = with_predicted_ratio(run, problem)

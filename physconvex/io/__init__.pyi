@@ -12,7 +12,7 @@ from .capture.metadata import (
     read_capture_file as read_capture_file,
 )
 from .capture.parts import Boundary as Boundary, Tracks as Tracks
-from .capture.saving import save_capture as save_capture
+from .capture.saving import save_capture as save_capture, write_mask as write_mask
 from .configuration import (
     FrozenConfig as FrozenConfig,
     read_tree as read_tree,

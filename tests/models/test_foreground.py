@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from models import locate_foreground, stabilise
+from models import locate_foreground, sharp_foreground, stabilise
 from physconvex import InputError
 
 
@@ -105,6 +105,19 @@ def test_falling_ball_is_found(drawing: Drawing, seed: int) -> None:
     assert found.mask.shape == truth.shape and found.mask.dtype == bool
     assert _overlap(found.mask, truth) > 0.9
     assert found.confidence > 0.8
+
+
+@pytest.mark.parametrize("background", ["gradient", "texture"])
+def test_a_sharp_silhouette_follows_edges_that_the_finder_is_too_coarse_for(background: str) -> None:
+    frames, truth = _draw(Drawing(size=256, frames=8, background=background))
+    found, coarse = sharp_foreground(frames), locate_foreground(frames)
+    assert (found.source, found.confidence) == (coarse.source, coarse.confidence)
+    assert _overlap(found.mask, truth) > 0.97 > _overlap(coarse.mask, truth)
+
+
+def test_a_still_clip_has_no_sharp_silhouette_either() -> None:
+    frames = np.repeat(np.random.default_rng(0).integers(0, 255, (1, 64, 64, 3), dtype=np.uint8), 4, axis=0)
+    assert sharp_foreground(frames).confidence == 0.0
 
 
 def test_shadow_is_no_object() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from jaxtyping import Bool
 from PIL import Image
 from pydantic import JsonValue
 
@@ -63,7 +64,7 @@ def save_capture(
         for name, picture in stills.items():
             Image.fromarray(picture).save(partial / f"{name}.png")
         for name, mask in masks.items():
-            _write_mask(partial / f"{name}_mask", mask, capture.fps)
+            write_mask(partial / f"{name}_mask", mask, fps=capture.fps)
         if mesh is not None:
             mesh.export(partial / "mesh.obj")
         if truth is not None:
@@ -103,8 +104,8 @@ def _check_picture(name: str, picture: np.ndarray, shape: tuple[int, ...], kind:
         raise InputError(f"{name}: got {picture.dtype}; expected {kind[1]}")
 
 
-def _write_mask(stem: Path, mask: np.ndarray, fps: float) -> None:
-    """White where the object is: a picture, or a video."""
+def write_mask(stem: Path, mask: Bool[np.ndarray, "*T H W"], *, fps: float) -> None:
+    """White where the object is: a picture STEM.png, or for several frames a lossless video STEM.mp4."""
     grey = np.where(mask, np.uint8(255), np.uint8(0))
     if mask.ndim == 2:
         Image.fromarray(grey).save(stem.with_name(f"{stem.name}.png"))
