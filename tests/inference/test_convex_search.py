@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from inference.refinement import convex_stage
+from inference.refinement import convex_start
 from inference.refinement.observations import Observed
 from inference.refinement.problem import Problem
 from physconvex import ConvergenceError
@@ -43,9 +43,9 @@ def valley(_: SimpleNamespace, values: np.ndarray) -> float:
 @pytest.mark.parametrize(("sigma", "modulus"), [(0.005, 5.3), (1e-6, 5.46)])
 def test_each_modulus_is_judged_with_its_own_height_of_the_floor(monkeypatch, sigma, modulus):
     """At a height that is held, the maximum along E alone is 0.16 too high."""
-    monkeypatch.setattr(convex_stage, "_likely", valley)
+    monkeypatch.setattr(convex_start, "_likely", valley)
     run = SimpleNamespace(workers=SimpleNamespace(map=lambda function, values: [function(v) for v in values]))
-    found = convex_stage._searched(run, problem(sigma), np.array([4.9, 0.0]))
+    found = convex_start._searched(run, problem(sigma), np.array([4.9, 0.0]))
     assert found[0] == pytest.approx(modulus, abs=0.02)
     assert abs(found[1]) <= 2.0 * sigma
 
@@ -57,8 +57,8 @@ def test_heights_beyond_two_deviations_are_not_tried(monkeypatch):
         tried.append(values[1])
         return -1e6 * (values[1] + 0.1) ** 2
 
-    monkeypatch.setattr(convex_stage, "_likely", lower)
-    likelihood, values = convex_stage._at_best_height(problem(0.01), np.array([5.0, 0.0]))
+    monkeypatch.setattr(convex_start, "_likely", lower)
+    likelihood, values = convex_start._at_best_height(problem(0.01), np.array([5.0, 0.0]))
     assert values[1] == pytest.approx(-0.02) and min(tried) >= -0.02 - 1e-9
     assert likelihood == pytest.approx(-1e6 * 0.08**2 - 2.0)
 
@@ -69,7 +69,7 @@ def test_a_body_that_fails_is_the_least_likely():
 
     broken = problem(0.01)
     broken.reduced.positions = fails
-    assert convex_stage._at_best_height(broken, np.array([5.0, 0.0]))[0] == -np.inf
+    assert convex_start._at_best_height(broken, np.array([5.0, 0.0]))[0] == -np.inf
 
 
 def test_the_motion_before_the_contact_is_that_of_the_frames_before_it(tmp_path):
@@ -88,9 +88,9 @@ def test_the_motion_before_the_contact_is_that_of_the_frames_before_it(tmp_path)
     surface = twin.scene.body.space.samples.surface_points
     model = replace(problem.reduced, points=np.concatenate([problem.reduced.points, surface]))
     given = [np.array([5.2, -0.2, 0.1]), np.array([4.6, 0.0, 0.0])]
-    found = convex_stage._in_flight(problem, model, given)
+    found = convex_start._in_flight(problem, model, given)
     for values, before in zip(found, given, strict=True):
         assert values[0] == before[0]
         assert values[1:] == pytest.approx(truth[1:], abs=1e-3)
     alone = replace(problem, parameters=problem.parameters[:1])
-    assert convex_stage._in_flight(alone, model, [np.array([5.2])]) == [np.array([5.2])]
+    assert convex_start._in_flight(alone, model, [np.array([5.2])]) == [np.array([5.2])]

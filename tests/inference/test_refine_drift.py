@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from inference import RefineOptions, refine
-from inference.refinement.convex_stage import least_drift
+from inference.refinement.convex_start import least_drift
 from inference.refinement.rigid_drift import _continued
 from physconvex.fem import SurfacePoints
 from physconvex.identify import FullModel, TwinOptions, base_twin
