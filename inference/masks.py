@@ -47,10 +47,10 @@ def find_masks(
         if masks is None:
             try:
                 masks, confidence = _found(name, frames)
+                write_mask(capture.folder / f"{name}_mask", masks, fps=capture.fps)
             except InputError as error:
                 yield name, error
                 continue
-            write_mask(capture.folder / f"{name}_mask", masks, fps=capture.fps)
         shown.append(_strip(frames, masks))
         yield name, confidence
     if shown:
