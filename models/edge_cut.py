@@ -2,7 +2,7 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float32, UInt8
 
 from models.foreground import Foreground, link_masks, locate_foreground
 
@@ -31,8 +31,7 @@ def _cut(image: UInt8[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"]) -> Bo
     if not mask.any():
         return mask
     band = max(2, round(_BAND * max(mask.shape)))
-    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
-    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
+    inside, outside = _depths(mask)
     rows, columns = (np.flatnonzero((outside < (1 + _AROUND) * band).any(axis=axis)) for axis in (1, 0))
     window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     labels = np.where(mask, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
@@ -48,11 +47,16 @@ def _cut(image: UInt8[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"]) -> Bo
     return out
 
 
+def _depths(mask: Bool[np.ndarray, "h w"]) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+    """Distances [px] of the pixels inside a mask from those outside, and the other way round; zero elsewhere."""
+    inside, outside = (cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 3) for part in (mask, ~mask))
+    return inside, outside
+
+
 def _more_than_half(image: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """The mask, on whose rim a pixel counts if its colour lies nearer to those inside than to those outside."""
     colours = image.astype(np.float32)
-    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
-    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
+    inside, outside = _depths(mask)
     means, known = [], (inside <= _RIM) & (outside <= _RIM)
     for part in (inside > _RIM, outside > _RIM):
         share = cv2.blur(part.astype(np.float32), (_NEAR, _NEAR))

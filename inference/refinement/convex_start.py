@@ -62,20 +62,24 @@ def _in_flight(problem: Problem, model: ReducedModel, candidates: Sequence[np.nd
     """The candidates with the motion at t = 0, where it is free, that the frames before the first contact tell.
 
     There the material does not matter, while a worse model has traded the motion for its rebound. The motion of the
-    first candidate tells the contact, and again that of the fit, until the contact comes no earlier.
+    first candidate tells the contact, and again that of the fit, until the contact comes no earlier. The candidates as
+    they are, if the body cannot be simulated at the first.
     """
     moving = np.array([name.startswith("initial_") for name in problem.names])
     if not moving.any() or not problem.twin.may_strike:
         return list(candidates)
     values, last = np.array(candidates[0]), problem.frames
-    while True:
-        begin = _contact(problem, model.positions(values))
-        if begin is None or not _LEAST_FLIGHT <= begin < last:
-            return [np.where(moving, values, other) for other in candidates]
-        flight, last = problem.first(begin), begin
-        started = zip(problem.parameters, values, moving, strict=True)
-        start = tuple(p.at(v) if m else p.at(v).held() for p, v, m in started)
-        values = fit(flight.reduced, flight.seen, start, options=_FLIGHT).values
+    try:
+        while True:
+            begin = _contact(problem, model.positions(values))
+            if begin is None or not _LEAST_FLIGHT <= begin < last:
+                return [np.where(moving, values, other) for other in candidates]
+            flight, last = problem.first(begin), begin
+            started = zip(problem.parameters, values, moving, strict=True)
+            start = tuple(p.at(v) if m else p.at(v).held() for p, v, m in started)
+            values = fit(flight.reduced, flight.seen, start, options=_FLIGHT).values
+    except ConvergenceError:
+        return list(candidates)
 
 
 def _searched(run: RefinementRun, problem: Problem, values: np.ndarray) -> np.ndarray:

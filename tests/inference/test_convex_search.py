@@ -92,5 +92,11 @@ def test_the_motion_before_the_contact_is_that_of_the_frames_before_it(tmp_path)
     for values, before in zip(found, given, strict=True):
         assert values[0] == before[0]
         assert values[1:] == pytest.approx(truth[1:], abs=1e-3)
+
+    def fails(values: np.ndarray) -> np.ndarray:
+        raise ConvergenceError("turned inside out")
+
+    broken = SimpleNamespace(positions=fails)  # others of the candidates may do
+    assert convex_start._in_flight(problem, broken, given)[1] is given[1]
     alone = replace(problem, parameters=problem.parameters[:1])
     assert convex_start._in_flight(alone, model, [np.array([5.2])]) == [np.array([5.2])]
